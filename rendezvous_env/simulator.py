@@ -88,7 +88,7 @@ class Simulator(StateView):
         self._earned = {name: np.zeros(self.num_envs) for name in custom}
         self.earned_before = {name: np.zeros(self.num_envs) for name in custom}
         """Sum of each custom reward term over the last episode that a reset ended, (B,)."""
-        self._own_model = is_custom(scenario.model)
+        self._own_model = any(map(is_custom, scenario.models))
         self._ready = self._observed = False
 
     def reset(

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import floats, positive, short_repr
-from rendezvous_env.robots.mixed_team import MIXED
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.safety.links import link_keeping_law, min_norm_points
 from rendezvous_env.safety.turning import yaw_rate_law
@@ -223,26 +222,6 @@ class _UnicycleCosine(Law):
         return unicycle_cosine_law(f, time)
 
 
-def _is_mixed(scenario: Scenario) -> bool:
-    """True for teams of single integrators and unicycles."""
-    return scenario.model is MIXED
-
-
-@register("by-model", fits=_is_mixed, kind="law")
-class _ByModel(Law):
-    """Law (1) for single integrators and laws (7) and (8) for unicycles of a mixed team."""
-
-    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        turning, angle = unicycle_law(f), np.arctan2(f[..., 1], f[..., 0])
-        turning[..., 1] = _no_farther(turning[..., 1], angle, self.scenario.tau)
-        turns = np.array([name == "unicycle" for name in self.scenario.robot_model])
-        velocity = bearing_only_law(f)
-        size = np.linalg.norm(velocity, axis=-1)
-        limit = self.scenario.speed_limits / np.maximum(size, self.scenario.speed_limits)
-        velocity = velocity * limit[..., np.newaxis]
-        return np.where(turns[:, np.newaxis], turning, velocity)
-
-
 @register("nonholonomic-3d", fits=of_model("nonholonomic_3d"), kind="law")
 class _Nonholonomic3D(Law):
     """Laws (12) and (17) for 3-D nonholonomic robots."""
@@ -270,3 +249,43 @@ class _Damped(Law):
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         assert seen.velocity is not None  # these robots always sense it
         return damped_law(f, seen.velocity.astype(np.float64), damping=self.damping)
+
+
+_INPUTS: dict[str, Callable[[Array, ObservedRows, float], Array]] = {
+    "single_integrator": lambda f, seen, tau: bearing_only_law(f),
+    "unicycle": lambda f, seen, tau: unicycle_inputs(f, tau),
+    "nonholonomic_3d": lambda f, seen, tau: nonholonomic_3d_inputs(f, _pitch_in(seen), tau),
+    "double_integrator": lambda f, seen, tau: damped_law(f, _velocity_in(seen), damping=1.0),
+}
+"""Inputs of each robot model, (..., a), for f, (..., d), m/s, observations, and τ, s."""
+
+
+def _pitch_in(seen: ObservedRows) -> Array:
+    assert seen.gravity is not None
+    return pitch_of(seen.gravity)
+
+
+def _velocity_in(seen: ObservedRows) -> Array:
+    assert seen.velocity is not None
+    return np.asarray(seen.velocity, np.float64)
+
+
+def _is_mixed(scenario: Scenario) -> bool:
+    """True for teams of several models, each of which has a law."""
+    return scenario.mixes_models and set(scenario.robot_model) <= set(_INPUTS)
+
+
+@register("by-model", fits=_is_mixed, kind="law")
+class _ByModel(Law):
+    """The law of each robot of a mixed team: (1), (7) and (8), (12) and (17), or damped."""
+
+    def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        scenario = self.scenario
+        actions = np.zeros((*f.shape[:-1], scenario.action_size))
+        for name in _INPUTS.keys() & set(scenario.robot_model):
+            own = np.array([model == name for model in scenario.robot_model])
+            actions[..., own, :] = _INPUTS[name](f, seen, scenario.tau)[..., own, :]
+        points = np.array([model == "single_integrator" for model in scenario.robot_model])
+        size = np.linalg.norm(actions, axis=-1)
+        limit = scenario.speed_limits / np.maximum(size, scenario.speed_limits)
+        return np.where(points[:, np.newaxis], actions * limit[..., np.newaxis], actions)

@@ -126,9 +126,10 @@ def farthest_steps(towards: Array, ways: Array, linked: Mask, sight: float) -> A
 
 def _ways_and_gains(simulator: Simulator) -> tuple[Array, Array]:
     """Offsets p_j − p_i, (B, n, n, d), m, and a_ij, (B, n, n), m/s, of robots within range."""
-    positions, sight = simulator.positions, simulator.scenario.sensing.range
+    positions, scenario = simulator.positions, simulator.scenario
+    sight = scenario.sensing.each("range", scenario.n_robots)[:, np.newaxis]
     ways, gains = positions[:, np.newaxis] - positions[:, :, np.newaxis], simulator.weights
-    if sight is not None:
+    if np.isfinite(sight).any():
         gains = np.where(np.linalg.norm(ways, axis=-1) <= sight, gains, 0.0)
     return ways, gains
 
@@ -158,14 +159,14 @@ class PrivilegedCircumcentre(PrivilegedPolicy):
 
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
         ways, gains = _ways_and_gains(simulator)
-        linked, sight = gains > 0.0, self.scenario.sensing.range
+        linked, sight = gains > 0.0, self.scenario.sensing.smallest("range")
         positions = simulator.positions
         rest = np.zeros_like(positions)
         for team in np.flatnonzero(active.sum(axis=1) > 1):
             here = np.flatnonzero(active[team])
             among = linked[team][np.ix_(here, here)]
             goals = circumcentres(positions[team, here], among) - positions[team, here]
-            if sight is not None:
+            if np.isfinite(sight):
                 length = np.linalg.norm(goals, axis=-1, keepdims=True)
                 towards = goals / np.where(length > 0.0, length, 1.0)
                 nearby = ways[team][np.ix_(here, here)]

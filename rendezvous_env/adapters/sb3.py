@@ -93,6 +93,12 @@ class RobotVecEnv(VecEnv):
         )
         self.metadata["render_fps"] = self.teams.metadata["render_fps"]
 
+    @property
+    def action_mask(self) -> NDArray[np.bool_]:
+        """True for action components of each slot that its robot has, (slots, a)."""
+        mask = self.simulator.scenario.action_mask
+        return np.tile(mask, (self.slots.num_teams, 1))
+
     def reset(self) -> NDArray[np.float32]:
         """Start a new episode in all environments; returns observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]

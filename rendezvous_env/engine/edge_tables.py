@@ -44,8 +44,8 @@ def changes_of(scenario: Scenario) -> Changes | None:
         dwell=float(getattr(graph, "dwell", math.inf)),
         at_random=getattr(graph, "order", "cyclic") == "random",
         by_sight=isinstance(graph, ProximityGraph),
-        reach=math.inf if sensing.range is None else float(sensing.range),
-        half_field=0.5 * sensing.field_of_view,
+        reach=sensing.smallest("range"),
+        half_field=0.5 * sensing.smallest("field_of_view"),
     )
 
 

@@ -24,13 +24,13 @@ from ..robots.activation import ActivationRules
 from ..robots.activation import rules_of as activation_rules
 from ..robots.events import EventRules
 from ..robots.events import rules_of as event_rules
-from ..robots.mixed_team import MIXED, mixed_limits
+from ..robots.mixed_team import mixed_limits
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.start_region import triangles_of
 from ..sensors.effects import Effects, effects_of, kept_share
-from ..sensors.imperfections import Imperfections, imperfections_of
+from ..sensors.imperfections import Imperfections, Views, imperfections_of, views_of
 from .edge_tables import LinkList
 from .memory import Robot
 from .state import State
@@ -65,10 +65,11 @@ class Sensor(NamedTuple):
     packed: bool
     """True if the rows of visible neighbours come first, rather than each in its own."""
     effects: Effects | None
-    observer_bias: float  # rad
+    observer_bias: NDArray[np.float64]  # of each robot, (n,), rad
     detection_kept: float  # of the memory of detection in a step, see ``effects``
     errors_kept: float  # likewise, of that of noise
     samples_per_step: float  # 0 without a sample period
+    views: Views | None  # where they differ between robots
 
 
 def robot(scenario: Scenario) -> Robot:
@@ -80,7 +81,7 @@ def robot(scenario: Scenario) -> Robot:
         axes=tuple(range(d)),
         entries=tuple(range(d * d)),
         memories=tuple(range(scenario.model.memory_size(d))),
-        limits=mixed_limits(scenario) if scenario.model is MIXED else limits_of(scenario),
+        limits=mixed_limits(scenario) if scenario.mixes_models else limits_of(scenario),
     )
 
 
@@ -105,10 +106,11 @@ def sensor(state: State) -> Sensor | None:
         listed=place.packed and in_order,
         packed=place.packed,
         effects=effects_of(sensing, scenario.n_robots),
-        observer_bias=sensing.observer_bias,
+        observer_bias=sensing.each("observer_bias", scenario.n_robots),
         detection_kept=kept_share(sensing.persistence, tau),
         errors_kept=kept_share(sensing.noise_correlation, tau),
         samples_per_step=tau / sensing.sample_period if sensing.sample_period > 0.0 else 0.0,
+        views=views_of(sensing, scenario.n_robots),
     )
 
 

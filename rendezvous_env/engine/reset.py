@@ -245,14 +245,13 @@ def draw_memories(lanes, which, robot, draws, seeds, episodes, robots):
         b, lane = which[k], which[k] % lanes
         key = stream_key(seeds[b], episodes[b], FRAMES)
         for i in range(robots.shape[1]):
-            state = robots[b // lanes, i]
+            state, model = robots[b // lanes, i], constants_of_robot(robot.model, robot.limits, i)
             if draws:
-                model = constants_of_robot(robot.model, robot.limits, i)
                 kept = init_memory(model, key, 3 * i)
                 store_fields(kept, state, d + d * d, lane, lanes)
             kept = load_fields(state, d + d * d, lane, lanes, robot.memories)
             frame = load_fields(state, d, lane, lanes, robot.entries)
-            store_fields(frame_of(robot.model, frame, kept), state, d, lane, lanes)
+            store_fields(frame_of(model, frame, kept), state, d, lane, lanes)
 
 
 @kernel

@@ -16,6 +16,7 @@ From the action to the new observation, over the blocks of one thread after anot
     sense_pairs, sense_links    bearings of neighbours, V, the closest pair
     sense_discs, sense_shapes   angular extents of obstacles, clearance
     sense_indexed               instead of both, for many obstacles
+    limit_views                 range and field of view that differ between robots
     apply_noise                 range, field of view, random errors
     remember_…                  memories of detection and of noise
     apply_effects               blind zone, detection, errors with a memory, outliers
@@ -47,7 +48,7 @@ from ..physics.random_streams import ignore_overflow
 from ..robots.activation import ActivationRules
 from ..robots.events import EventRules
 from ..robots.motion import frame_turns
-from ..sensors.imperfections import Imperfections
+from ..sensors.imperfections import Imperfections, Views
 from .memory import Robot
 from .memory_layout import Scratch
 from .preparation import Constants, Sensor
@@ -63,6 +64,7 @@ from .stages.collide import (
 )
 from .stages.commands import disturb_commands, hide_from_blind, take_commands, turn_frames
 from .stages.conclude import conclude_step
+from .stages.limit_views import limit_views, limit_views_of_silhouettes
 from .stages.move_obstacles import move_obstacles, settle_merged
 from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
@@ -323,6 +325,8 @@ class StepStages:
             errors = errors._replace(half_field=math.pi)  # to fall off to the edge ends there
         blocks = first, last, moves, errors
         memory, streams = (work.keys, work.words), (state.seed, state.number)
+        if sensor.views is not None:
+            yield self._limit_views(first, last, sensor, sensor.views, work)
         if errors.over_lanes:
             given: tuple[Any, ...] = (
                 self._constants.neighbour_slots,
@@ -337,6 +341,17 @@ class StepStages:
         yield from self._apply_effects(first, last, moves, sensor, work)
         if self._has_obstacles:
             yield from self._apply_noise_to_silhouettes(first, last, moves, sensor, work)
+
+    def _limit_views(
+        self, first: int, last: int, sensor: Sensor, views: Views, work: Scratch
+    ) -> tuple[Any, ...]:
+        state, robot = self._state, self._robot
+        if sensor.effects is not None and sensor.effects.falloff > 0.0:
+            views = views._replace(half_fields=np.full_like(views.half_fields, math.pi))
+        shape = state.place.width, robot.axes, robot.entries, first, last
+        given = self._constants.neighbour_slots, sensor.listed, state.links, state.robots
+        lists = work.listed, work.numbers[0], work.counts
+        return limit_views, *shape, views, *given, *lists, _ROWS
 
     def _apply_effects(
         self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
@@ -374,7 +389,7 @@ class StepStages:
         self, rows: tuple[int, int], blocks: tuple[int, int, bool], sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
         """Turn rows, from one to before another, by what a robot's sensor is askew."""
-        if sensor.observer_bias > 0.0:
+        if sensor.observer_bias.max() > 0.0:
             state = self._state
             streams = state.seed, state.number, state.environments
             given = (
@@ -407,8 +422,12 @@ class StepStages:
                 blocks = place.width, self._robot.axes, first, last, moves, errors
                 yield apply_noise_to_silhouettes, *blocks, *given
 
+        if sensor.views is not None:
+            shape = place.width, self._robot.axes, first, last
+            rows = own, points, self._state.batch
+            yield limit_views_of_silhouettes, *shape, sensor.views, *rows, _ROWS
         turns = effects is not None and effects.turns
-        if not turns and sensor.observer_bias == 0.0:
+        if not turns and sensor.observer_bias.max() == 0.0:
             yield from noise(errors)
             return
         yield from noise(errors._replace(sectors=0))

@@ -82,7 +82,11 @@ class BaseParallelEnv(
         does: Any = teams.single_action_space
         robots = dict(enumerate(self.possible_agents))
         self.observation_spaces = {name: of_one_robot(sees, i) for i, name in robots.items()}
-        self.action_spaces = {name: of_one_robot(does, i) for i, name in robots.items()}
+        parts = self.scenario.action_mask if self.scenario.pads_actions else None
+        self.action_spaces = {
+            name: of_one_robot(does, i, None if parts is None else parts[i])
+            for i, name in robots.items()
+        }
         self.state_space = teams.unwrapped.single_state_space
 
     def reset(
@@ -174,8 +178,13 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
 def table_of(
     actions: Mapping[str, Any], alive: Sequence[str], simulator: Simulator
 ) -> NDArray[np.float32]:
-    """Actions by name as (1, n, a) float32, zero for merged robots; errors name the agent."""
+    """Actions by name as (1, n, a) float32, zero for merged robots; errors name the agent.
+
+    Those of robots with fewer components than others are padded with zeros.
+    """
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
+    if simulator.scenario.pads_actions:
+        return _padded_table(actions, alive, simulator)
     try:  # all at once; one by one only to find out what is wrong with them
         listed = np.array([actions[name] for name in alive])
         if listed.dtype != np.float32:
@@ -192,6 +201,20 @@ def table_of(
         return listed[None]
     table = np.zeros((1, n, size), np.float32)
     table[0, [name in alive for name in names_of(n)]] = listed
+    return table
+
+
+def _padded_table(
+    actions: Mapping[str, Any], alive: Sequence[str], simulator: Simulator
+) -> NDArray[np.float32]:
+    """``table_of`` for robots with different numbers of action components."""
+    check_robots(actions, alive, simulator.merged_into[0])
+    mask = simulator.scenario.action_mask
+    table = np.zeros((1, *mask.shape), np.float32)
+    for robot, name in enumerate(names_of(len(mask))):
+        if name in actions:
+            check_action(name, actions[name], int(mask[robot].sum()))
+            table[0, robot, mask[robot]] = floats("action", actions[name], np.float32)
     return table
 
 

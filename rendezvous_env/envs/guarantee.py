@@ -3,7 +3,7 @@
 import functools
 import inspect
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -373,8 +373,8 @@ class GainSettings(FilterWrapperMixin):
     def __init__(
         self,
         env: Any,
-        min_gain: float | None = None,
-        max_gain: float | None = None,
+        min_gain: float | Sequence[float] | None = None,
+        max_gain: float | Sequence[float] | None = None,
         frame: str = "net_bearing",
         decision_period: int = 1,
     ) -> None: ...

@@ -31,7 +31,8 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
 
     ## Action space
 
-    ``Box(a,)``, float32, in the robot's own frame; symmetric bounds, the same for all robots.
+    ``Box(a,)``, float32, in the robot's own frame; symmetric bounds. In teams of several robot
+    models each agent has the space of its model.
 
     | robot model       | action         | unit       | bound |
     |-------------------|----------------|------------|--------------------------------------------|

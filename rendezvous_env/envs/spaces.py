@@ -32,7 +32,8 @@ def observation_box(
     layout = scenario.observation_layout
     lengths = np.ones(layout.shape)
     lengths[layout.neighbours] = max(scenario.max_degree, 1e-6)
-    lengths[layout.velocity] = constants_of(scenario).speed_limit
+    fastest = constants_of(scenario).speed_limit
+    lengths[layout.velocity] = max(fastest, 1.0) if layout.senses_gravity else fastest
     high: Any = np.nextafter(lengths.astype(np.float32), np.float32(np.inf))
     if action_filter is not None and action_filter.along_net_bearing:
         high = high * np.float32(1.0 + 1e-6)
@@ -51,8 +52,12 @@ def action_box(scenario: Scenario) -> Box:
 
 
 def team_action_box(scenario: Scenario) -> Box:
-    """Action space of all robots, (n, a)."""
-    bounds = scenario.robot_bounds.astype(np.float32)
+    """Action space of all robots, (n, a).
+
+    Components that a robot does not have are bounded as those of others, see ``action_mask``.
+    """
+    bounds = np.where(scenario.action_mask, scenario.robot_bounds, scenario.action_bounds)
+    bounds = bounds.astype(np.float32)
     return Box(-bounds, bounds, dtype=np.float32)
 
 
@@ -72,14 +77,22 @@ def team_box(robot: Box, n: int) -> Box:
     return Box(low, high, dtype=np.float32)
 
 
-def of_one_robot(space: Space[Any], robot: int | None = None) -> Any:
-    """Space of one robot from that of n, a Box or a Discrete; None is one that holds all."""
+def of_one_robot(
+    space: Space[Any], robot: int | None = None, parts: NDArray[np.bool_] | None = None
+) -> Any:
+    """Space of one robot from that of n, a Box or a Discrete; None is one that holds all.
+
+    With ``parts``, (a,), it has these components only.
+    """
     if isinstance(space, MultiDiscrete):
         return Discrete(int(space.nvec[0]))
     assert isinstance(space, Box)
     if robot is None:
         return Box(space.low.min(axis=0), space.high.max(axis=0), dtype=np.float32)
-    return Box(space.low[robot], space.high[robot], dtype=np.float32)
+    low, high = space.low[robot], space.high[robot]
+    if parts is not None:
+        low, high = low[parts], high[parts]
+    return Box(low, high, dtype=np.float32)
 
 
 def state_box(scenario: Scenario) -> Box:

@@ -76,7 +76,11 @@ class TrainingParallelEnv(
                 scalar = np.ndim(action) == 0 and hasattr(action, "item")
                 index = action.item() if scalar else action
                 check_int(f"action of {name}", index, 0, int(space.n) - 1)
-        table = np.stack([np.asarray(actions[name]) for name in names])[None]
+        listed = [np.asarray(actions[name]) for name in names]
+        if self.scenario.pads_actions:  # a robot has the first components
+            size = self.scenario.action_size
+            listed = [np.pad(action, (0, size - len(action))) for action in listed]
+        table = np.stack(listed)[None]
         observations, _, ends, cuts, infos = self.teams.step(table)
         over, cut = bool(ends[0]), bool(cuts[0])
         if over or cut:

@@ -251,9 +251,10 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; the robots'
             action must be their velocity.
-        min_gain: m/s; None is a*. The time bound is inversely proportional to it.
-        max_gain: m/s; None is D̄. At most r/τ: with longer steps a robot may leave the hull. At r/τ
-            itself there is no time bound.
+        min_gain: m/s, or a list with one for each robot; None is a*. The time bound is inversely
+            proportional to the least.
+        max_gain: m/s, likewise; None is D̄. At most r/τ: with longer steps a robot may leave the
+            hull. At r/τ itself there is no time bound.
     """
 
 

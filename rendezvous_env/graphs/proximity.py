@@ -23,6 +23,12 @@ class ProximityGraph(CompleteGraph, kinds=("proximity",)):
     def check_fits(self, scenario: Any) -> None:
         """Raise a ValueError without a sensor limit, or if no connected start can be sampled."""
         sensing = scenario.sensing
+        for name in ("range", "field_of_view"):
+            if isinstance(given := getattr(sensing, name), tuple):
+                raise ValueError(
+                    f"sensing.{name} is {list(given)}; it must be one number for all robots with a "
+                    "proximity graph, whose links follow it, or take a fixed graph"
+                )
         if sensing.range is None and sensing.field_of_view == type(sensing)().field_of_view:
             raise ValueError(
                 "graph: proximity links whom a robot sees, and these see everyone; give sensing a "

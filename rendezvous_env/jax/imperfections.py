@@ -44,8 +44,7 @@ def not_covered(sensing: Sensing) -> str:
     """Names and values of imperfections that are not covered, as text."""
     own, ideal = asdict(sensing), asdict(Sensing())
     found = [name for name in own if own[name] != ideal[name] and name not in COVERED]
-    if isinstance(sensing.noise, tuple):
-        found.append("noise")
+    found += [name for name in sensing.per_robot if name in COVERED]
     return ", ".join(f"{name} = {own[name]}" for name in found)
 
 

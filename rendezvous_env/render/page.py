@@ -136,7 +136,8 @@ class Page:
             ink.sector(layer, shade, place, radius, 0.0, view, thin)
             page.blit(layer, corner)
 
-        turns, narrow = scenario.model.n_angles > 0, sensing.field_of_view < 2 * np.pi
+        limited = math.isfinite(sensing.smallest("range"))
+        turns, narrow = scenario.model.n_angles > 0, sensing.smallest("field_of_view") < 2 * np.pi
         marks = [
             ("heading" if turns else "last motion", robot),
             ("bearing to a robot", lambda x: ink.arrow(page, shade, (x, middle), unit)),
@@ -145,7 +146,7 @@ class Page:
         if len(history.obstacles):
             edge = "to an obstacle's edge"
             marks.insert(2, (edge, lambda x: ink.arrow(page, OBSTACLE_EDGE, (x, middle), unit)))
-        if scenario.dim == 2 and (sensing.range is not None or narrow):
+        if scenario.dim == 2 and (limited or narrow):
             marks.append(("field of view" if narrow else "range", sight))
         x, size = 12 * unit, 16 * unit
         for word, mark in marks:

@@ -95,15 +95,18 @@ class TeamPicture:
         self, canvas: pygame.Surface, moment: Moment, pixels: Floats, frames: Floats
     ) -> None:
         """Range and field of view of each robot of the plane, if they are limited."""
-        reach, view = self._scenario.sensing.range, self._scenario.sensing.field_of_view
-        limited = reach is not None or view < 2.0 * math.pi
-        if self._scenario.dim == 3 or not limited or moment.active.sum() > _MOST_VIEWS:
+        sensing, n = self._scenario.sensing, self._scenario.n_robots
+        reaches, views = sensing.each("range", n), sensing.each("field_of_view", n)
+        limited = np.isfinite(reaches) | (views < 2.0 * math.pi)
+        if self._scenario.dim == 3 or not limited.any() or moment.active.sum() > _MOST_VIEWS:
             return
-        radius = _VIEW * min(self.area[2:]) if reach is None else reach * self.camera.scale
+        unlimited = _VIEW * min(self.area[2:])
+        radii = np.where(np.isfinite(reaches), reaches * self.camera.scale, unlimited)
         layer = pygame.Surface(canvas.get_size(), pygame.SRCALPHA)
-        for i in np.flatnonzero(moment.active).tolist():
+        for i in np.flatnonzero(moment.active & limited).tolist():
             ahead = self.camera.directions(moment.positions[i], frames[i, :, 0])
             middle = math.atan2(ahead[1], ahead[0])
+            radius, view = float(radii[i]), float(views[i])
             ink.sector(layer, robot_colour(i), pixels[i], radius, middle, view, self._thin)
         canvas.blit(layer, (0, 0))
 

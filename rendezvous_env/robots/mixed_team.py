@@ -1,106 +1,292 @@
-"""Teams of single integrators and unicycles in the plane.
+"""Teams of several robot models.
 
-Each robot keeps an angle θ: the heading of a unicycle, or the constant rotation of the frame of a
-single integrator. Actions have two components: a velocity, or a speed and a turn rate.
+Each robot has the model of one *member*, and all have the same layout of actions and memory:
+
+    action    as many components as the widest member has; each robot uses its first ones
+    memory    the angles of the member with most, then what the others keep, such as a velocity
+
+The frame of a robot without angles, in a team in which others have some, is given by the angles: a
+constant rotation, in 3-D without roll.
 """
 
 import math
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..checks import raise_invalid
+from ..compilation import by_type, kernel
 from ..physics.random_streams import uniform
-from ..physics.vectors import dot, scaled, to_global
-from .motion import Motion, describe
-from .robot_models import RobotModel
-from .single_integrator import speed_scale
-from .unicycle import arc_2d, body_frame_2d, clip
+from .motion import (
+    Motion,
+    chord_error_bound,
+    constants_of_robot,
+    describe,
+    displacement_at,
+    frame_of,
+    frame_turns,
+    init_memory,
+    is_number,
+    period,
+    propose,
+    proprioception,
+    update_memory,
+)
+from .nonholonomic_3d import body_frame_3d
+from .robot_models import RobotModel, constants_of
+from .unicycle import body_frame_2d
 
-MEMBERS = ("single_integrator", "unicycle")
-"""Robot models that a team can mix."""
+MAX_MEMBERS = 3
+"""Largest number of different robot models in a team."""
+_OWN_COLUMNS = 4  # of the table of constants, ahead of those of a robot's member
+_Places = tuple[tuple[int, ...], ...]
 
 
 class MixedTeam(NamedTuple):
-    """ṗ = v, or ṗ = v (cos θ, sin θ) and θ̇ = ω, by robot; the memory is (θ,)."""
+    """Constants of a robot of a team with several models."""
 
     duration: float  # τ, s
-    speed_limit: float  # of ‖v‖ or v, m/s
-    turn_limit: float  # of ω, rad/s
-    turns: float  # 1 for a unicycle, 0 for a single integrator
-    in_global_frame: float  # 1 if frames of single integrators are the global one, else 0
+    speed_limit: float  # of the robot, m/s
+    member: float  # index of its model among the members
+    in_global_frame: float  # 1 if frames without angles are the global one, else 0
+    members: tuple[Any, ...]  # constants of each model
+    inputs: _Places  # of each model, its components of an action
+    kept: _Places  # of each model, its entries of the memory
+    angles: tuple[int, ...]  # entries of the memory that are angles
+    blank: tuple[float, ...]  # a memory of zeros
+    unsensed: tuple[float, ...]  # proprioception of models without any: zeros, or nothing
+
+
+@by_type("model", frame_turns)
+def _turns(model):
+    """True if the frame of robots of this model may turn."""
+
+
+@kernel
+def _part(values, places):
+    """Entries of a tuple, at most five."""
+    if len(places) == 0:
+        return ()
+    if len(places) == 1:
+        return (values[places[0]],)
+    if len(places) == 2:
+        return values[places[0]], values[places[1]]
+    if len(places) == 3:
+        return values[places[0]], values[places[1]], values[places[2]]
+    if len(places) == 4:
+        return values[places[0]], values[places[1]], values[places[2]], values[places[3]]
+    first = values[places[0]], values[places[1]], values[places[2]]
+    return (*first, values[places[3]], values[places[4]])
+
+
+@kernel
+def _entry(memory, places, values, k):
+    for m in range(len(places)):
+        if places[m] == k:
+            return values[m]
+    return memory[k]
+
+
+@kernel
+def _replaced(memory, places, values):
+    """Memory, of at most five numbers, with other values at some places."""
+    if len(places) == 0:
+        return memory
+    first = _entry(memory, places, values, 0)
+    if len(memory) == 1:
+        return (first,)
+    second = _entry(memory, places, values, 1)
+    if len(memory) == 2:
+        return first, second
+    third = _entry(memory, places, values, 2)
+    if len(memory) == 3:
+        return first, second, third
+    fourth = _entry(memory, places, values, 3)
+    if len(memory) == 4:
+        return first, second, third, fourth
+    return first, second, third, fourth, _entry(memory, places, values, 4)
+
+
+@kernel
+def _members_of_robot(members, table, i):
+    """Constants of robot i for each model; those of other models than its own have no meaning."""
+    first, second = members[0], members[1]
+    one, two = constants_of_robot(first, table, i), constants_of_robot(second, table, i)
+    if len(members) == 2:
+        return one, two
+    return one, two, constants_of_robot(members[2], table, i)
+
+
+@kernel
+def _of_robot(model, table, i):
+    """Constants of robot i, from row i of the table of ``mixed_limits``."""
+    return MixedTeam(
+        table[i, 0],
+        table[i, 1],
+        table[i, 2],
+        table[i, 3],
+        _members_of_robot(model.members, table[:, _OWN_COLUMNS:], i),
+        model.inputs,
+        model.kept,
+        model.angles,
+        model.blank,
+        model.unsensed,
+    )
+
+
+def _by_member(equation: Any) -> Any:
+    """Kernel that applies an equation to the member of a robot.
+
+    ``equation`` takes the constants of a member, its places of action and memory, and a tuple of
+    the other arguments, which begins with the constants of the robot.
+    """
+
+    @kernel
+    def chosen(members, inputs, kept, given):
+        member = int(given[0].member)
+        if member == 0:
+            return equation(members[0], inputs[0], kept[0], given)
+        if len(members) > 2:
+            if member == 2:
+                return equation(members[2], inputs[2], kept[2], given)
+        return equation(members[1], inputs[1], kept[1], given)
+
+    return chosen
+
+
+@kernel
+def _propose_as(member, inputs, kept, given):
+    _, action, frame, memory = given
+    return propose(member, _part(action, inputs), frame, _part(memory, kept))
+
+
+@kernel
+def _displacement_as(member, inputs, kept, given):
+    _, action, frame, memory, time = given
+    return displacement_at(member, _part(action, inputs), frame, _part(memory, kept), time)
+
+
+@kernel
+def _chord_error_bound_as(member, inputs, kept, given):
+    _, action, memory = given
+    return chord_error_bound(member, _part(action, inputs), _part(memory, kept))
+
+
+@kernel
+def _period_as(member, inputs, kept, given):
+    _, action, memory = given
+    return period(member, _part(action, inputs), _part(memory, kept))
+
+
+@kernel
+def _update_as(member, inputs, kept, given):
+    _, action, frame, memory, displacement, contact = given
+    own = _part(memory, kept)
+    after = update_memory(member, _part(action, inputs), frame, own, displacement, contact)
+    return _replaced(memory, kept, after)
+
+
+@kernel
+def _frame_as(member, inputs, kept, given):
+    model, frame, memory = given
+    if _turns(member):
+        return frame_of(member, frame, _part(memory, kept))
+    return _frame_at(frame, _part(memory, model.angles))
+
+
+@kernel
+def _frame_at(frame, angles):
+    """Frame of a robot without angles of its own, by those of the team; as it is without any."""
+    if len(angles) == 0:
+        return frame
+    if len(angles) == 1:
+        return body_frame_2d(angles[0])
+    return body_frame_3d(angles[0], angles[1])
+
+
+@kernel
+def _sense_as(member, inputs, kept, given):
+    model, frame, memory = given
+    return _or_else(proprioception(member, frame, _part(memory, kept)), model.unsensed)
+
+
+@kernel
+def _or_else(sensed, unsensed):
+    if len(sensed) == 0:
+        return unsensed
+    return sensed
+
+
+@kernel
+def _init_as(member, inputs, kept, given):
+    model, key, counter = given
+    angles = _first_angles(model.angles, model.in_global_frame, key, counter)
+    turned = _replaced(model.blank, model.angles, angles)
+    return _replaced(turned, kept, init_memory(member, key, counter))
+
+
+@kernel
+def _first_angles(angles, in_global_frame, key, counter):
+    """Uniform yaw, and a pitch for which the x axis is uniformly distributed; or zeros, rad."""
+    if len(angles) == 0:
+        return ()
+    drawn = 1.0 - in_global_frame
+    yaw = drawn * math.pi * (2.0 * uniform(key, counter) - 1.0)
+    if len(angles) == 1:
+        return (yaw,)
+    return yaw, drawn * math.asin(2.0 * uniform(key, counter + 1) - 1.0)
+
+
+_propose_by, _displacement_by = _by_member(_propose_as), _by_member(_displacement_as)
+_chord_error_bound_by, _period_by = _by_member(_chord_error_bound_as), _by_member(_period_as)
+_update_by, _frame_by = _by_member(_update_as), _by_member(_frame_as)
+_sense_by, _init_by = _by_member(_sense_as), _by_member(_init_as)
 
 
 @kernel
 def _propose(model, action, frame, memory):
-    if model.turns > 0.0:
-        way = abs(clip(action[0], model.speed_limit)) * model.duration
-        return _displacement_at(model, action, frame, memory, model.duration), way
-    speed, factor = speed_scale(dot(action, action), model.speed_limit)
-    scale = model.duration * factor
-    return scaled(to_global(frame, action), scale), speed * scale
+    given = model, action, frame, memory
+    return _propose_by(model.members, model.inputs, model.kept, given)
 
 
 @kernel
 def _displacement_at(model, action, frame, memory, time):
-    if model.turns > 0.0:
-        speed = clip(action[0], model.speed_limit)
-        return arc_2d(speed, memory[0], clip(action[1], model.turn_limit), time)
-    _, factor = speed_scale(dot(action, action), model.speed_limit)
-    return scaled(to_global(frame, action), time * factor)
+    given = model, action, frame, memory, time
+    return _displacement_by(model.members, model.inputs, model.kept, given)
 
 
 @kernel
 def _chord_error_bound(model, action, memory):
-    """|v| Ω/8 of a circular arc, or 0 of a straight path."""
-    turn_rate = model.turns * clip(action[1], model.turn_limit)
-    return abs(clip(action[0], model.speed_limit) * turn_rate) / 8.0
+    given = model, action, memory
+    return _chord_error_bound_by(model.members, model.inputs, model.kept, given)
 
 
 @kernel
 def _period(model, action, memory):
-    turn_rate = model.turns * abs(clip(action[1], model.turn_limit))
-    return 2.0 * math.pi / turn_rate if turn_rate > 0.0 else math.inf
+    return _period_by(model.members, model.inputs, model.kept, (model, action, memory))
 
 
 @kernel
 def _update(model, action, frame, memory, displacement, contact):
-    if model.turns > 0.0:
-        return (memory[0] + clip(action[1], model.turn_limit) * model.duration,)
-    return memory
+    given = model, action, frame, memory, displacement, contact
+    return _update_by(model.members, model.inputs, model.kept, given)
 
 
 @kernel
 def _frame(model, frame, memory):
-    return body_frame_2d(memory[0])
+    return _frame_by(model.members, model.inputs, model.kept, (model, frame, memory))
+
+
+@kernel
+def _sense(model, frame, memory):
+    return _sense_by(model.members, model.inputs, model.kept, (model, frame, memory))
 
 
 @kernel
 def _init(model, key, counter):
-    angle = math.pi * (2.0 * uniform(key, counter) - 1.0)
-    return (0.0 if model.in_global_frame > model.turns else angle,)
-
-
-def _constants(scenario: Any, robot_model: str = "unicycle") -> MixedTeam:
-    return MixedTeam(
-        scenario.tau,
-        scenario.speed_limit,
-        scenario.turn_limit,
-        float(robot_model == "unicycle"),
-        float(scenario.local_frames == "global"),
-    )
-
-
-def mixed_limits(scenario: Any) -> NDArray[np.float64]:
-    """Constants of each robot of a mixed team, (n, constants), as ``limits_of``."""
-    rows = [_constants(scenario, name) for name in scenario.robot_model]
-    table = np.array(rows, dtype=np.float64)
-    for column, name in ((1, "speed_limit"), (2, "turn_limit")):
-        table[:, column] = [
-            getattr(scenario.of_robot(robot), name) for robot in range(scenario.n_robots)
-        ]
-    return table
+    return _init_by(model.members, model.inputs, model.kept, (model, key, counter))
 
 
 describe(
@@ -111,17 +297,100 @@ describe(
         chord_error_bound=_chord_error_bound,
         update=_update,
         frame=_frame,
+        sense=_sense,
         init=_init,
         period=_period,
-        drifts=False,
     ),
+    of_robot=_of_robot,
 )
-MIXED = RobotModel(
-    "mixed",
-    dims=(2,),
-    constants=_constants,
-    bounds=lambda scenario: [scenario.speed_limit, scenario.turn_limit],
-    n_angles=1,
-    action="a velocity, or v and ω: m/s, rad/s",
-)
-"""Robot model of teams of several models."""
+
+
+def _kept_besides(model: RobotModel, dim: int) -> int:
+    """Numbers that a robot model keeps besides its angles."""
+    return model.memory_size(dim) - model.n_angles
+
+
+@cache
+def mixed_model(members: tuple[RobotModel, ...]) -> RobotModel:
+    """Robot model of a team with several models."""
+
+    def size(dim: int) -> int:
+        return n_angles + max(_kept_besides(member, dim) for member in members)
+
+    n_angles = max(member.n_angles for member in members)
+    return RobotModel(
+        "mixed",
+        dims=tuple(dim for dim in (2, 3) if all(dim in member.dims for member in members)),
+        constants=_constants,
+        bounds=lambda scenario: scenario.action_bounds.tolist(),
+        n_angles=n_angles,
+        n_kept=size,
+        keeps_velocity=any(member.keeps_velocity for member in members),
+        senses=next((member.senses for member in members if member.senses), None),
+        action=", or ".join(dict.fromkeys(member.action for member in members)),
+    )
+
+
+def check_members(names: tuple[str, ...], members: tuple[RobotModel, ...], dim: int) -> None:
+    """Reject robot models that cannot be in one team."""
+    if len(members) > MAX_MEMBERS:
+        wanted = f"a list of at most {MAX_MEMBERS} different models"
+        raise_invalid("robot_model", list(names), wanted)
+    for member in members:
+        if dim not in member.dims:
+            dims = " or ".join(map(str, member.dims))
+            at = f"robot_model[{names.index(member.name)}]"
+            raise_invalid(at, member.name, f"a model for dim {dim}; {member.name} is for {dims}")
+    if any(member.keeps_velocity for member in members):
+        for member in members:
+            if not member.keeps_velocity and _kept_besides(member, dim) > 0:
+                at = f"robot_model[{names.index(member.name)}]"
+                raise_invalid(at, member.name, "a model that keeps angles or a velocity only")
+
+
+def _constants(scenario: Any) -> MixedTeam:
+    """Constants of a team: the largest speed, and the first member."""
+    members, dim = scenario.models, scenario.dim
+    n_angles, size = scenario.model.n_angles, scenario.model.memory_size(dim)
+    kept = []
+    for member in members:
+        rest = range(n_angles, n_angles + _kept_besides(member, dim))
+        kept.append((*range(member.n_angles), *rest))
+    widths = [len(member.bounds(scenario.of_robot(_first(scenario, member)))) for member in members]
+    senses = any(member.senses for member in members)
+    return MixedTeam(
+        duration=scenario.tau,
+        speed_limit=float(scenario.speed_limit),
+        member=0.0,
+        in_global_frame=float(scenario.local_frames == "global"),
+        members=tuple(constants_of(scenario.of_robot(_first(scenario, m))) for m in members),
+        inputs=tuple(tuple(range(width)) for width in widths),
+        kept=tuple(kept),
+        angles=tuple(range(n_angles)),
+        blank=(0.0,) * size,
+        unsensed=(0.0,) * (dim if senses else 0),
+    )
+
+
+def _first(scenario: Any, member: RobotModel) -> int:
+    return int(scenario.robot_model.index(member.name))
+
+
+def mixed_limits(scenario: Any) -> NDArray[np.float64]:
+    """Constants of each robot, (n, 4 + most constants of a member), as ``limits_of``."""
+    team = _constants(scenario)
+    names = [member.name for member in scenario.models]
+    width = max(len(member._fields) for member in team.members)
+    table = np.full((scenario.n_robots, _OWN_COLUMNS + width), math.nan)
+    for robot, name in enumerate(scenario.robot_model):
+        own, made = names.index(name), constants_of(scenario.of_robot(robot))
+        table[robot, :_OWN_COLUMNS] = team.duration, made.speed_limit, own, team.in_global_frame
+        for column, (field, value) in enumerate(zip(made._fields, made, strict=True)):
+            if is_number(type(made), field):
+                table[robot, _OWN_COLUMNS + column] = value
+            elif value != getattr(team.members[own], field):
+                raise ValueError(
+                    f"{', '.join(scenario.per_robot)}: robots differ in the constant {field!r} of "
+                    f"robot model {name!r}; annotate it as float in its class"
+                )
+    return table

@@ -114,6 +114,8 @@ class Motion(_Equations):
 
 
 _MOTIONS: dict[type, Motion] = {}
+_OF_ROBOT: dict[type, Callable[..., Any]] = {}
+"""Functions that replace ``constants_of_robot`` for some classes."""
 
 
 def check_function(field: str, value: Any) -> Any:
@@ -123,8 +125,10 @@ def check_function(field: str, value: Any) -> Any:
     return value
 
 
-def describe(model: type, motion: Motion) -> None:
+def describe(model: type, motion: Motion, *, of_robot: Callable[..., Any] | None = None) -> None:
     """Register the equations of robots whose constants are of this type, a NamedTuple class.
+
+    ``of_robot`` replaces ``constants_of_robot`` for classes whose constants are nested.
 
     Raises:
         ValueError: if this type has other equations already, or is not a NamedTuple.
@@ -138,8 +142,10 @@ def describe(model: type, motion: Motion) -> None:
         raise ValueError(f"how a {model.__name__} moves has been described before")
     for name, equation in zip(Motion._fields[:-1], motion, strict=False):
         check_function(f"{name} of a {model.__name__}", equation)
-    depends_on(model, motion)
+    depends_on(model, motion if of_robot is None else (*motion, of_robot))
     _MOTIONS[model] = motion
+    if of_robot is not None:
+        _OF_ROBOT[model] = of_robot
 
 
 def motion_of(model: type) -> Motion | None:
@@ -164,6 +170,8 @@ def is_number(kind: type, field: str) -> bool:
 
 def _constants_of_kind(kind: Any) -> Any:
     """Function that makes constants of this type from a row of a table."""
+    if kind in _OF_ROBOT:
+        return _OF_ROBOT[kind]
     parts = ", ".join(
         f"table[i, {column}]" if is_number(kind, field) else f"model.{field}"
         for column, field in enumerate(kind._fields)

@@ -27,7 +27,8 @@ from ..checks import (
 )
 from .motion import FREE, STOPPED, Motion, check_function, is_number, motion_of
 
-MAX_KEPT = 4  # numbers that a robot model may keep from step to step
+MAX_ANGLES = 4  # of a robot model
+MAX_KEPT = 5  # numbers that a robot model may keep from step to step
 _SAMPLES = 12
 _ROUNDING = 1e-9
 
@@ -56,7 +57,7 @@ class RobotModel:
     ``speed_limit`` (m/s, never exceeded)."""
     bounds: Annotated[Callable[[Any], list[float]], check_function]
     """Scenario → symmetric bound of each action component."""
-    n_angles: Annotated[int, partial(check_int, least=0, most=MAX_KEPT)] = 0
+    n_angles: Annotated[int, partial(check_int, least=0, most=MAX_ANGLES)] = 0
     """Number of attitude angles, the first entries of the memory; 0 for a fixed frame."""
     n_kept: Annotated[Callable[[int], int], check_function] | None = None
     """Dimension → size of the memory; None is ``n_angles``."""

@@ -1,11 +1,12 @@
 """Gain filter: neighbour weights to velocities that keep the convex hull (theorem G)."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import positive, raise_invalid
+from ..checks import is_sequence, positive, raise_invalid
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import Calls, Slice
 from ..physics.neighbour_rows import net_bearing_of
@@ -20,36 +21,61 @@ _NOTHING = 1e-30  # weights that add up to less, m/s, are none
 
 class _Constants(NamedTuple):
     neighbour_slots: int
-    min_gain: float  # m/s
-    max_gain: float
+    min_gains: NDArray[np.float64]  # of each robot, (n,), m/s
+    max_gains: NDArray[np.float64]
     speed_limit: float
+
+
+def gain_ranges(
+    scenario: Scenario, min_gain: Any = None, max_gain: Any = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Limits c_i and C_i of Σ_j c_ij of each robot in force, (n,), m/s, at most r/τ (theorem G).
+
+    Limits are one number for all robots or a list with one for each. The defaults are a* and D̄,
+    adjusted to a given other limit.
+
+    Raises:
+        ValueError: naming a limit that is not positive, too large for the step, or inconsistent.
+    """
+    safe, n = scenario.merge_radius / scenario.tau, scenario.n_robots
+    least, most = _given("min_gain", min_gain, n), _given("max_gain", max_gain, n)
+    for robot in range(n):
+        at = f"[{robot}]" * is_sequence(min_gain)
+        if least is not None and least[robot] > safe:
+            wanted = f"at most r/τ = {safe} m/s, so that the hull never grows"
+            raise_invalid(f"min_gain{at}", float(least[robot]), wanted)
+        if least is not None and most is not None and most[robot] < least[robot]:
+            wanted = f"at least min_gain{at} = {float(least[robot])} m/s"
+            at = f"[{robot}]" * is_sequence(max_gain)
+            raise_invalid(f"max_gain{at}", float(most[robot]), wanted)
+    if most is None:
+        most = np.maximum(scenario.max_degree, 0.0 if least is None else least.max())
+    most = np.broadcast_to(np.minimum(most, safe), n)
+    if least is None:
+        least = np.minimum(scenario.bottleneck_weight or most, most)
+    return least, most
+
+
+def _given(field: str, value: Any, n: int) -> NDArray[np.float64] | None:
+    """A limit of each robot, (n,), m/s, from one number or a list; None for None."""
+    if value is None:
+        return None
+    if not is_sequence(value):
+        return np.full(n, positive(field, value, "m/s"))
+    if len(value) != n:
+        wanted = f"{n} numbers, one for each robot, or a single one for all of them"
+        raise_invalid(field, list(value), wanted)
+    return np.array([positive(f"{field}[{k}]", own, "m/s") for k, own in enumerate(value)])
 
 
 def gain_range(
     scenario: Scenario, min_gain: Any = None, max_gain: Any = None
 ) -> tuple[float, float]:
-    """Limits c and C of Σ_j c_ij in force, numbers, m/s, at most r/τ (theorem G).
-
-    The defaults are a* and D̄, adjusted to a given other limit.
-
-    Raises:
-        ValueError: naming a limit that is not positive, too large for the step, or inconsistent.
+    """Limits c and C of the Σ_j c_ij of all robots, m/s: the least and the largest of
+    ``gain_ranges``, with its errors. Theorem G assumes nothing else of the gains.
     """
-    safe = scenario.merge_radius / scenario.tau
-    least = None if min_gain is None else positive("min_gain", min_gain, "m/s")
-    most = None if max_gain is None else positive("max_gain", max_gain, "m/s")
-    if least is not None and least > safe:
-        raise_invalid(
-            "min_gain", min_gain, f"at most r/τ = {safe} m/s, so that the hull never grows"
-        )
-    if least is not None and most is not None and most < least:
-        raise_invalid("max_gain", max_gain, f"at least min_gain = {least} m/s")
-    if most is None:
-        most = max(scenario.max_degree, least or 0.0)
-    most = min(most, safe)
-    if least is None:
-        least = min(scenario.bottleneck_weight or most, most)
-    return least, most
+    least, most = gain_ranges(scenario, min_gain, max_gain)
+    return float(least.min()), float(most.max())
 
 
 class Gains(SafetyFilter):
@@ -57,8 +83,9 @@ class Gains(SafetyFilter):
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain
 
-    Weights are clipped to [0, 1]; if all present ones are zero, they are equal. Gains are scaled
-    down where ‖v_i‖ would exceed v_max. Arguments as ``SafetyFilter`` and ``gain_range``.
+    Both limits may differ between robots. Weights are clipped to [0, 1]; if all present ones are
+    zero, they are equal. Gains are scaled down where ‖v_i‖ would exceed v_max. Arguments as
+    ``SafetyFilter`` and ``gain_ranges``.
     """
 
     state_key = "gains"
@@ -71,16 +98,21 @@ class Gains(SafetyFilter):
         scenario: Scenario,
         num_envs: int,
         *,
-        min_gain: float | None = None,
-        max_gain: float | None = None,
+        min_gain: float | Sequence[float] | None = None,
+        max_gain: float | Sequence[float] | None = None,
         frame: str = "net_bearing",
         num_threads: int | None = None,
     ) -> None:
         check_inputs(scenario, "theorem G")
         size = scenario.observation_layout.neighbour_slots
         super().__init__(scenario, num_envs, size, frame, num_threads)
-        limits = *gain_range(scenario, min_gain, max_gain), scenario.min_speed_limit
-        self._constants = _Constants(self._robot.neighbour_slots, *map(float, limits))
+        least, most = gain_ranges(scenario, min_gain, max_gain)
+        self._constants = _Constants(
+            neighbour_slots=self._robot.neighbour_slots,
+            min_gains=np.array(least),
+            max_gains=np.array(most),
+            speed_limit=float(scenario.min_speed_limit),
+        )
         self.gain = np.zeros((num_envs, scenario.n_robots))
 
     @property
@@ -106,12 +138,14 @@ register_filter("gains", Gains)
 @kernel
 def _weigh(axes, robots, constants, arrays, work):
     observations, held, actions, gain, alignment, lyapunov_rate = arrays
+    n = len(constants.min_gains)
     for i in range(robots[0], robots[1]):
         rows, weights = observations[i], held[i]
         total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
         if total < _NOTHING:  # all count alike
             total, towards = _weighted(rows, weights, constants.neighbour_slots, 1.0)
-        sought = min(max(total, constants.min_gain), constants.max_gain) if total > 0.0 else 0.0
+        low, high = constants.min_gains[i % n], constants.max_gains[i % n]
+        sought = min(max(total, low), high) if total > 0.0 else 0.0
         velocity = scaled(scaled(towards, 1.0 / total if total > 0.0 else 0.0), sought)
         _, within = speed_scale(dot(velocity, velocity), constants.speed_limit)
         velocity = scaled(velocity, within)

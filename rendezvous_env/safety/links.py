@@ -229,12 +229,14 @@ def asymmetric_sight(scenario: Scenario) -> str:
         return f"graph is a {kind} one; {needs}: it must be undirected, or follow sight"
     if sensing.custom:
         return f"sensing.custom is {sensing.custom}; {needs}: what it hides is not known"
-    if sensing.field_of_view < 2.0 * math.pi:
-        return f"sensing.field_of_view is {sensing.field_of_view:.6g} rad; {needs}: it must be 2π"
-    if sensing.dropout > 0.0:
-        return f"sensing.dropout is {sensing.dropout:g}; {needs}: it must be 0"
-    if sensing.min_range > 0.0:
-        return f"sensing.min_range is {sensing.min_range:g} m; {needs}: it must be 0"
+    if isinstance(sensing.range, tuple):
+        return f"sensing.range is {list(sensing.range)}; {needs}: it must be one for all robots"
+    if (view := sensing.smallest("field_of_view")) < 2.0 * math.pi:
+        return f"sensing.field_of_view is {view:.6g} rad; {needs}: it must be 2π"
+    if (dropout := sensing.largest("dropout")) > 0.0:
+        return f"sensing.dropout is {dropout:g}; {needs}: it must be 0"
+    if (nearest := sensing.largest("min_range")) > 0.0:
+        return f"sensing.min_range is {nearest:g} m; {needs}: it must be 0"
     if sensing.detection:
         return f"sensing.detection is {sensing.detection}; {needs}: it must be empty"
     if sensing.occlusion != "none":

@@ -34,7 +34,7 @@ class ObservedRows(NamedTuple):
 class ObservationLayout:
     """Rows of an observation ``(..., rows, d)``: neighbours, obstacles, then gravity or velocity.
 
-    An absent row is zero.
+    An absent row is zero. In teams of several models the last row is that of each robot's model.
     """
 
     dim: int
@@ -76,13 +76,13 @@ class ObservationLayout:
     @property
     def velocity(self) -> slice:
         """Slice of the velocity row; empty if the robots do not sense it."""
-        start = self.gravity.stop
+        start = self.obstacles.stop
         return slice(start, start + int(self.senses_velocity))
 
     @property
     def rows(self) -> int:
         """Total number of rows."""
-        return int(self.velocity.stop)
+        return max(self.gravity.stop, self.velocity.stop)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -29,8 +29,9 @@ from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
 from ..robots.activation import Activation, ActivationLike, as_activation
 from ..robots.events import Events
-from ..robots.mixed_team import MEMBERS, MIXED
+from ..robots.mixed_team import check_members, mixed_model
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
+from ..sensors.robot_sensors import as_sensing
 from ..sensors.sensing import Sensing
 from . import scenario_files
 from .observation_layout import ObservationLayout
@@ -96,8 +97,8 @@ class Scenario:
         partial(checks.one_or_each, check=partial(checks.choice, choices=ROBOT_MODELS)),
     ] = "single_integrator"
     """Robot model: single_integrator or double_integrator (2-D or 3-D), unicycle (2-D),
-    nonholonomic_3d (3-D), or a registered name. A list with one name for each robot mixes
-    single_integrator and unicycle robots in 2-D."""
+    nonholonomic_3d (3-D), or a registered name. A list with one name for each robot mixes at most
+    three models."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
     """Sensing graph: a Graph, a name, a list of edges (i, j) or (i, j, a_ij), or a networkx
     graph. Also a symmetric (n, n) matrix of weights a_ij in m/s, dense or sparse."""
@@ -178,10 +179,8 @@ class Scenario:
     """Frames of single integrators: a random fixed rotation per robot, or the global frame."""
     on_merge: Literal["remove", "follow"] = "remove"
     """Agent of a merged robot: it ends ("remove"), or stays with zero observations ("follow")."""
-    sensing: Annotated[Sensing, checks.of_class(Sensing)] = dataclasses.field(
-        default_factory=Sensing
-    )
-    """Sensor imperfections; none by default."""
+    sensing: Annotated[Sensing, as_sensing] = dataclasses.field(default_factory=Sensing)
+    """Sensor imperfections; none by default. A list of n sensors gives each robot its own."""
     reward: Annotated[RewardWeights, checks.of_class(RewardWeights)] = dataclasses.field(
         default_factory=RewardWeights
     )
@@ -207,6 +206,8 @@ class Scenario:
 
     def __post_init__(self) -> None:
         checks.check_fields(self)
+        if self.mixes_models:
+            check_members(self.robot_model, self.models, self.dim)  # type: ignore[arg-type]
         if self.dim not in self.model.dims:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
             wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
@@ -230,11 +231,23 @@ class Scenario:
     def model(self) -> RobotModel:
         """Robot model; ValueError if it is not registered, e.g. after unpickling.
 
-        That of a team of several models is ``mixed_team.MIXED``.
+        That of a team of several models is a model of its own, see ``robots.mixed_team``.
         """
         if isinstance(self.robot_model, tuple):
-            return MIXED
+            return mixed_model(self.models)
         return cast(RobotModel, ROBOT_MODELS[self.robot_model])
+
+    @property
+    def models(self) -> tuple[RobotModel, ...]:
+        """Different robot models of the team, by name."""
+        given = self.robot_model
+        names = sorted(set(given)) if isinstance(given, tuple) else [given]
+        return tuple(cast(RobotModel, ROBOT_MODELS[name]) for name in names)
+
+    @property
+    def mixes_models(self) -> bool:
+        """True if robots of the team have different models."""
+        return isinstance(self.robot_model, tuple)
 
     @cached_property
     def max_degree(self) -> float:
@@ -336,8 +349,12 @@ class Scenario:
         if not own:
             return self
         if own not in self._variants:
-            free = {"start_positions": None, "start_headings": None, "allow_long_step": True}
+            free: dict[str, Any] = {"start_positions": None, "start_headings": None}
+            free["allow_long_step"] = True
             fields = dict(zip(self.per_robot, own, strict=True))
+            if self.mixes_models:  # whose defaults depend on the model
+                free["time_step"] = self.tau
+                fields.setdefault("max_speed", self.speed_limit)
             self._variants[own] = self.replace(**fields, **free)
         return self._variants[own]
 
@@ -396,10 +413,35 @@ class Scenario:
 
     @cached_property
     def robot_bounds(self) -> NDArray[np.float64]:
-        """Symmetric bounds of the actions of each robot, (n, a), as ``action_bounds``."""
+        """Symmetric bounds of the actions of each robot, (n, a), as ``action_bounds``.
+
+        They are 0 for components that a robot does not have, see ``action_mask``.
+        """
+        each = np.zeros(self.action_mask.shape)
+        each[self.action_mask] = [bound for bounds in self._listed_bounds for bound in bounds]
+        return each
+
+    @cached_property
+    def action_mask(self) -> NDArray[np.bool_]:
+        """True for components of an action that a robot has, (n, a).
+
+        In teams of several models actions are padded to the widest; a robot has the first ones, and
+        the others have no effect.
+        """
+        widths = np.array([len(bounds) for bounds in self._listed_bounds])
+        return np.arange(widths.max()) < widths[:, np.newaxis]
+
+    @property
+    def pads_actions(self) -> bool:
+        """True if robots have different numbers of action components."""
+        return self.mixes_models and not bool(self.action_mask.all())
+
+    @cached_property
+    def _listed_bounds(self) -> list[list[float]]:
+        """Symmetric bounds of the actions of each robot."""
         robots = range(self.n_robots if self.per_robot else 1)
-        each = np.array([one.model.bounds(one) for one in map(self.of_robot, robots)], np.float64)
-        return np.broadcast_to(each, (self.n_robots, each.shape[1]))
+        each = [list(one.model.bounds(one)) for one in map(self.of_robot, robots)]
+        return each if self.per_robot else each * self.n_robots
 
     @cached_property
     def observation_layout(self) -> ObservationLayout:
@@ -409,8 +451,8 @@ class Scenario:
             dim=self.dim,
             neighbour_slots=self.neighbour_slots or most,
             obstacle_slots=obstacles.max_count(self.obstacles) if slots is None else slots,
-            senses_gravity=self.model.senses == "gravity",
-            senses_velocity=self.model.senses == "velocity",
+            senses_gravity=any(model.senses == "gravity" for model in self.models),
+            senses_velocity=any(model.senses == "velocity" for model in self.models),
         )
 
     @property
@@ -510,9 +552,6 @@ class Scenario:
 
     def _check_lists(self) -> None:
         """Check that each list of limits has one number for each robot."""
-        if isinstance(self.robot_model, tuple) and not set(self.robot_model) <= set(MEMBERS):
-            wanted = f"one name, or a list of {' and '.join(map(repr, MEMBERS))}"
-            checks.raise_invalid("robot_model", list(self.robot_model), wanted)
         for name in self.per_robot:
             if len(given := getattr(self, name)) != self.n_robots:
                 remedy = f"{self.n_robots} entries, one for each robot, or a single one for all"

@@ -32,51 +32,61 @@ _ARCTAN = tuple(
 class Effects(NamedTuple):
     """Those of a team's sensors on the rows of neighbours, as kernels take them."""
 
-    nearest: float  # min_range, m
+    blind: bool  # whether any robot has a blind zone
+    nearest: NDArray[np.float64]  # min_range of each robot, (n,), m
     detects: bool  # whether the probability of detection is drawn here, rather than dropout alone
     remembers: bool  # whether detection has a memory
     distances: NDArray[np.float64]  # of the table of detection, m
-    chances: NDArray[np.float64]  # likewise, with dropout
-    half_field: float  # rad
+    chances: NDArray[np.float64]  # likewise, with a dropout that all robots share
+    kept: NDArray[np.float64]  # (n,), 1 − dropout where it differs between robots, else 1
+    half_fields: NDArray[np.float64]  # (n,), rad; inf for a view without an edge
     falloff: float  # rad; 0 is a hard edge
     turns: bool  # whether noise is drawn here
     drifts: bool  # whether noise has a memory
     levels: NDArray[np.float32]  # (n,), of noise, rad
-    outliers: float
+    replaces: bool  # whether there are outliers
+    outliers: NDArray[np.float64]  # their probability for each robot, (n,)
     uniform: bool  # whether outliers are uniform, rather than another robot's bearing
 
 
 def draws_detection(sensing: Sensing) -> bool:
     """True if detection differs from independent dropout."""
-    return bool(sensing.detection) or sensing.view_falloff > 0.0 or sensing.persistence > 0.0
+    measured = bool(sensing.detection) or sensing.view_falloff > 0.0 or sensing.persistence > 0.0
+    return measured or isinstance(sensing.dropout, tuple)
 
 
 def draws_noise(sensing: Sensing) -> bool:
     """True if noise differs from white noise of one level."""
-    if isinstance(sensing.noise, tuple):
-        return max(sensing.noise) > 0.0
-    return sensing.noise > 0.0 and sensing.noise_correlation > 0.0
+    differs = isinstance(sensing.noise, tuple) or sensing.noise_correlation > 0.0
+    return differs and sensing.largest("noise") > 0.0
 
 
 def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     """Constants of a sensor's effects for kernels; None without effects."""
     detects, turns = draws_detection(sensing), draws_noise(sensing)
-    if not (detects or turns) and sensing.min_range == 0.0 and sensing.outliers == 0.0:
+    nearest = sensing.each("min_range", n_robots)
+    outliers = sensing.each("outliers", n_robots)
+    if not (detects or turns) and max(nearest.max(), outliers.max()) == 0.0:
         return None
     table = np.array(sensing.detection or ((0.0, 1.0),), np.float64)
-    levels = np.broadcast_to(np.asarray(sensing.noise if turns else 0.0, np.float32), n_robots)
+    levels = sensing.each("noise", n_robots) if turns else np.zeros(n_robots)
+    kept, views = 1.0 - sensing.each("dropout", n_robots), sensing.each("field_of_view", n_robots)
+    differs = isinstance(sensing.dropout, tuple)
     return Effects(
-        nearest=sensing.min_range,
+        blind=bool(nearest.max() > 0.0),
+        nearest=nearest,
         detects=detects,
         remembers=detects and sensing.persistence > 0.0,
         distances=table[:, 0].copy(),
-        chances=table[:, 1] * (1.0 - sensing.dropout),
-        half_field=0.5 * sensing.field_of_view,
+        chances=table[:, 1] * (1.0 if differs else kept[0]),
+        kept=kept if differs else np.ones(n_robots),
+        half_fields=np.where(views < 2.0 * math.pi, 0.5 * views, math.inf),
         falloff=sensing.view_falloff,
         turns=turns,
         drifts=turns and sensing.noise_correlation > 0.0,
-        levels=levels.copy(),
-        outliers=sensing.outliers,
+        levels=levels.astype(np.float32),
+        replaces=bool(outliers.max() > 0.0),
+        outliers=outliers,
         uniform=sensing.outlier_kind == "uniform",
     )
 

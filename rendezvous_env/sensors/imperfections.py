@@ -11,6 +11,9 @@ length.
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..compilation import inner_kernel, kernel
 from ..obstacles.obstacle_set import is_hidden_by_obstacles
 from ..physics.vectors import (
@@ -67,16 +70,36 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
     if sensing.built_in_exact:
         return None
     noise, dropout = sensing.noise, sensing.dropout
+    reach, view = sensing.range, sensing.field_of_view
     return Imperfections(
-        reach=math.inf if sensing.range is None else sensing.range,
-        half_field=0.5 * sensing.field_of_view,
+        reach=math.inf if reach is None or isinstance(reach, tuple) else reach,
+        half_field=math.pi if isinstance(view, tuple) else 0.5 * view,
         noise=0.0 if draws_noise(sensing) or isinstance(noise, tuple) else noise,
         bias=sensing.bias,
         error=sensing.error,
-        dropout=0.0 if draws_detection(sensing) else dropout,
+        dropout=0.0 if draws_detection(sensing) or isinstance(dropout, tuple) else dropout,
         sectors=sensing.sectors or 0,
         obstacles_hide=sensing.occlusion in ("obstacles", "both"),
         robots_hide=sensing.occlusion in ("robots", "both"),
+    )
+
+
+class Views(NamedTuple):
+    """Limits of sight that differ between robots; neutral where ``Imperfections`` has them."""
+
+    reaches: NDArray[np.float64]  # (n,), m; inf without a limit
+    half_fields: NDArray[np.float64]  # (n,), rad; at most π
+
+
+def views_of(sensing: Sensing, n_robots: int) -> Views | None:
+    """Limits of sight of each robot; None if all have the same."""
+    differing = sensing.per_robot
+    if "range" not in differing and "field_of_view" not in differing:
+        return None
+    reaches, views = sensing.each("range", n_robots), sensing.each("field_of_view", n_robots)
+    return Views(
+        reaches=reaches if "range" in differing else np.full(n_robots, math.inf),
+        half_fields=0.5 * views if "field_of_view" in differing else np.full(n_robots, math.pi),
     )
 
 

@@ -7,14 +7,24 @@ import math
 from functools import partial
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .. import checks
-from ..checks import Metres, known_arguments
+from ..checks import known_arguments
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from ..limits import MAX_DELAY, MAX_SECTORS
 from .custom_sensors import as_custom
 
 _FULL_CIRCLE = 2.0 * math.pi
+PER_ROBOT = (
+    "range", "field_of_view", "noise", "dropout", "min_range", "observer_bias", "outliers",
+)  # fmt: skip
+"""Fields with one value for all robots, or a list with one for each."""
+UNLIMITED = "unlimited"
+"""In a list of ranges, in plain data, that of a robot without a limit."""
+_Each = float | tuple[float, ...]
 
 
 def _check_view(field: str, value: Any) -> float:
@@ -29,14 +39,22 @@ _Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCL
 _Time = Annotated[float, partial(checks.number, least=0.0, unit="s")]
 
 
-def _check_levels(field: str, value: Any) -> float | tuple[float, ...]:
-    """One standard deviation, rad, or one for each robot."""
-    one = partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")
-    if not checks.is_sequence(value):
-        return one(field, value)
-    if len(value) == 0:
-        checks.raise_invalid(field, value, "a number, or a list of one for each robot, rad")
-    return tuple(one(f"{field}[{robot}]", level) for robot, level in enumerate(value))
+def _check_ranges(field: str, value: Any) -> Any:
+    """Maximum distance, m, or one for each robot, None for those without a limit."""
+
+    def one(field: str, value: Any) -> float | None:
+        if value is None or (isinstance(value, str) and value == UNLIMITED):
+            return None
+        return checks.positive(field, value, unit="m")
+
+    if checks.is_sequence(value):
+        return checks.one_or_each(field, value, one, "m")
+    return checks.positive(field, value, unit="m")
+
+
+def _each(check: Any, unit: str = "") -> Any:
+    """Check of one value for all robots, or a list with one for each."""
+    return partial(checks.one_or_each, check=check, unit=unit)
 
 
 def _check_table(field: str, value: Any) -> tuple[tuple[float, float], ...]:
@@ -76,12 +94,15 @@ class Sensing:
         UnknownFieldError: for an unknown field, naming the nearest one.
     """
 
-    range: Metres | None = None
-    """Maximum distance of detected neighbours, m; None is unlimited."""
-    field_of_view: Annotated[float, _check_view] = _FULL_CIRCLE
-    """Full angle of the field of view around the body or local x axis, rad. An obstacle is visible
-    while one of its edge points is inside."""
-    noise: Annotated[float | tuple[float, ...], _check_levels] = 0.0
+    range: Annotated[float | tuple[float | None, ...] | None, _check_ranges] = None
+    """Maximum distance of detected neighbours, m, of all robots or a list with one for each; None
+    is unlimited."""
+    field_of_view: Annotated[_Each, _each(_check_view, "rad")] = _FULL_CIRCLE
+    """Full angle of the field of view around the body or local x axis, rad, of all robots or a list
+    with one for each. An obstacle is visible while one of its edge points is inside."""
+    noise: Annotated[
+        _Each, _each(partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad"), "rad")
+    ] = 0.0
     """Standard deviation of angular noise per ordered pair and step, rad, of all robots or a list
     with one for each; in 3-D about a random axis perpendicular to the bearing. White unless it has
     a noise_correlation."""
@@ -91,8 +112,9 @@ class Sensing:
     error: Annotated[float, partial(checks.number, least=0.0, most=math.pi, unit="rad")] = 0.0
     """Adversarial error: bearings are rotated by this angle in the direction that increases L most,
     rad (theorem N; guarantees, section 11)."""
-    dropout: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
-    """Probability that a neighbour is not detected in a step."""
+    dropout: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
+    """Probability that a neighbour is not detected in a step, of all robots or a list with one for
+    each."""
     delay: Annotated[int, partial(checks.check_int, least=0, most=MAX_DELAY)] = 0
     """Delay of observations, steps; the first observation is held until then."""
     sectors: Annotated[int, partial(checks.check_int, least=2, most=MAX_SECTORS)] | None = None
@@ -102,18 +124,21 @@ class Sensing:
     """Occluding objects: none, obstacles, robots (discs or spheres of radius r/2) or both."""
     custom: Annotated[tuple[str, ...], as_custom] = ()
     """Names of custom imperfections (``sensor_imperfection``), applied last in this order."""
-    min_range: Annotated[float, partial(checks.number, least=0.0, unit="m")] = 0.0
-    """Blind zone, m: nearer neighbours are not detected. Links of a proximity graph stay."""
+    min_range: Annotated[_Each, _each(partial(checks.number, least=0.0, unit="m"), "m")] = 0.0
+    """Blind zone, m, of all robots or a list with one for each: nearer neighbours are not detected.
+    Links of a proximity graph stay."""
     sample_period: _Time = 0.0
     """Time between two samples, s: rows are refreshed at the first step at or after each multiple
     of it, and held until then; 0 is every step."""
     delay_time: _Time = 0.0
     """Delay of observations, s, instead of delay: rounded to whole steps, half a step upwards."""
-    observer_bias: _Deviation = 0.0
+    observer_bias: Annotated[
+        _Each, _each(partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad"), "rad")
+    ] = 0.0
     """Standard deviation of a constant error that a robot's bearings, of obstacles too, share in an
-    episode, rad: of its angle in the plane; in 3-D the sensor is turned about a random axis, and
-    this is the root mean square by which it turns any bearing. Unlike a compass error it does not
-    turn commands."""
+    episode, rad, of all robots or a list with one for each: of its angle in the plane; in 3-D the
+    sensor is turned about a random axis, and this is the root mean square by which it turns any
+    bearing. Unlike a compass error it does not turn commands."""
     noise_correlation: _Time = 0.0
     """Time constant of noise, s: errors at two times t apart have correlation exp(−t/T), and the
     same distribution as white ones, which 0 gives. In 3-D the axis belongs to pair and episode."""
@@ -128,8 +153,9 @@ class Sensing:
     """Time constant of detection, s: a two-state Markov chain for each ordered pair. With a
     probability p of detection, robots seen are seen again after t with p + (1 − p) exp(−t/T), and
     robots missed are seen with p (1 − exp(−t/T)); 0 draws each step independently."""
-    outliers: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
-    """Probability that a detected neighbour's bearing is replaced in a step by an outlier."""
+    outliers: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
+    """Probability that a detected neighbour's bearing is replaced in a step by an outlier, of all
+    robots or a list with one for each."""
     outlier_kind: Literal["uniform", "robot"] = "uniform"
     """What an outlier is: a uniform direction, or the bearing of another robot than the neighbour,
     drawn from those that are left; with none, bearings stay."""
@@ -144,7 +170,7 @@ class Sensing:
                 f"sensing.delay is {self.delay} steps and sensing.delay_time is {seconds} s; "
                 "it must be one of the two: leave one out"
             )
-        if self.view_falloff > 0.0 and self.field_of_view >= _FULL_CIRCLE:
+        if self.view_falloff > 0.0 and self.smallest("field_of_view") >= _FULL_CIRCLE:
             raise ValueError(
                 f"sensing.view_falloff is {self.view_falloff} rad and sensing.field_of_view is all "
                 "round, which has no edge; it must be 0, or give a field_of_view below 2π rad"
@@ -220,16 +246,38 @@ class Sensing:
         """True if the sensor has no built-in imperfection."""
         return dataclasses.replace(self, custom=()).exact
 
+    @property
+    def per_robot(self) -> tuple[str, ...]:
+        """Names of the fields that are lists with one value for each robot."""
+        return tuple(name for name in PER_ROBOT if isinstance(getattr(self, name), tuple))
+
+    def each(self, field: str, n_robots: int) -> NDArray[np.float64]:
+        """A field of ``PER_ROBOT`` for each robot, (n,), in its unit; inf for unlimited ranges."""
+        given = getattr(self, field)
+        listed = given if isinstance(given, tuple) else (given,)
+        values = [math.inf if value is None else value for value in listed]
+        return np.array(np.broadcast_to(np.array(values, np.float64), (n_robots,)))
+
+    def smallest(self, field: str) -> float:
+        """Least value of a field of ``PER_ROBOT`` among the robots; inf for unlimited ranges."""
+        given = getattr(self, field)
+        return float(self.each(field, len(given) if isinstance(given, tuple) else 1).min())
+
+    def largest(self, field: str) -> float:
+        """Largest value of a field of ``PER_ROBOT`` among the robots."""
+        given = getattr(self, field)
+        return float(self.each(field, len(given) if isinstance(given, tuple) else 1).max())
+
     def delay_steps(self, tau: float) -> int:
         """Delay in whole steps of tau, s."""
         return self.delay or math.floor(self.delay_time / tau + 0.5)
 
     def check_fits(self, n_robots: int, tau: float) -> None:
         """Reject values that do not fit the number of robots or the step tau, s."""
-        levels = self.noise
-        if isinstance(levels, tuple) and len(levels) != n_robots:
-            remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"
-            checks.raise_invalid("sensing.noise", list(levels), remedy)
+        for name in self.per_robot:
+            if len(given := getattr(self, name)) != n_robots:
+                remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"
+                checks.raise_invalid(f"sensing.{name}", list(given), remedy)
         if self.delay_steps(tau) > MAX_DELAY:
             most = f"at most {MAX_DELAY} steps of {checks.format_limit(tau)} s: make it shorter"
             checks.raise_invalid(
@@ -247,7 +295,8 @@ class Sensing:
         for field in _YOUNGER:
             plain[field] = None if plain[field] == getattr(_EXACT, field) else plain[field]
         plain["detection"] = plain["detection"] and [list(pair) for pair in self.detection]
-        plain["noise"] = list(self.noise) if isinstance(self.noise, tuple) else self.noise
+        for field in self.per_robot:
+            plain[field] = [UNLIMITED if one is None else one for one in getattr(self, field)]
         return {field: value for field, value in plain.items() if value is not None}
 
 

@@ -151,10 +151,10 @@ def test_observer_bias_turns_obstacles_as_it_turns_robots():
 @pytest.mark.parametrize("scenario", [WALLED, SPACE], ids=["plane", "space"])
 def test_equal_levels_of_noise_are_bitwise_one_level(scenario):
     one = simulator(sensing(scenario, noise=0.3, bias=0.1, sectors=90), 40)
-    each = simulator(sensing(scenario, noise=[0.3] * 5, bias=0.1, sectors=90), 40)
+    each = simulator(sensing(scenario, noise=[0.3] * 4 + [0.0], bias=0.1, sectors=90), 40)
     for step in range(3):
         found = one.observe(), each.observe()
-        assert (found[0] == found[1]).all()
+        assert (found[0] == found[1])[:, :4].all()
         act(one, step), act(each, step)
 
 
@@ -456,7 +456,7 @@ def test_fields_go_through_toml(tmp_path):
         ({"sample_period": -0.1}, "sensing.sample_period is -0.1; it must be"),
         ({"delay": 2, "delay_time": 0.3}, "sensing.delay is 2 steps and sensing.delay_time is 0.3"),
         ({"noise": [0.1, -1.0]}, r"sensing.noise\[1\] is -1.0; it must be"),
-        ({"noise": []}, r"sensing.noise is \[\]; it must be a number, or a list"),
+        ({"noise": []}, r"sensing.noise is \[\]; it must be one value, or a list"),
         ({"noise_correlation": math.nan}, "sensing.noise_correlation is nan"),
         ({"persistence": "long"}, "sensing.persistence is 'long'"),
         ({"outliers": 1.5}, "sensing.outliers is 1.5; it must be a finite number from 0 to 1"),
@@ -489,7 +489,8 @@ def test_what_does_not_fit_the_team_is_refused(fields, words):
 @pytest.mark.parametrize(
     "fields",
     [
-        {"min_range": 1.0}, {"sample_period": 1.0}, {"observer_bias": 0.1}, {"noise": (0.1,) * 5},
+        {"min_range": 1.0}, {"sample_period": 1.0}, {"observer_bias": 0.1},
+        {"noise": (*[0.1] * 4, 0.2)},
         {"noise": 0.1, "noise_correlation": 1.0}, {"detection": ((1.0, 0.0),)}, {"outliers": 0.01},
         {"field_of_view": 1.0, "view_falloff": 0.1},
     ],

@@ -125,7 +125,7 @@ BAD_FIELDS = {
     "angles": ({"n_angles": -1}, "n_angles of .* is -1; it must be an integer, 0 or .* 4"),
     "kept": ({"n_kept": 2}, "n_kept of .* is 2; it must be a function"),
     "kept what": ({"n_kept": lambda dim: "a"}, "keeps 'a' numbers"),
-    "kept much": ({"n_kept": lambda dim: 5}, "keeps 5 numbers.* from 0.* to 4"),
+    "kept much": ({"n_kept": lambda dim: 6}, "keeps 6 numbers.* from 0.* to 5"),
     "kept velocity": ({"n_kept": lambda dim: 3, "keeps_velocity": True}, "be 2"),
     "kept angles": ({"n_angles": 2, "n_kept": lambda dim: 1}, "from 2"),
     "flag": ({"keeps_velocity": 1}, "keeps_velocity of .* is 1; it must be one of True, False"),

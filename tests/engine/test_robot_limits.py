@@ -299,12 +299,7 @@ def test_certificate_and_filters_refuse_mixed_teams(by):
 @pytest.mark.parametrize(
     ("models", "dim", "message"),
     [
-        (
-            ["unicycle", "double_integrator"],
-            2,
-            "robot_model is .*a list of 'single_integrator' and",
-        ),
-        (["unicycle", "single_integrator"], 3, "robot_model is .*where dim is 3"),
+        (["unicycle", "single_integrator"], 3, r"robot_model\[0\] is 'unicycle'; .* for dim 3"),
         (["unicycle", "single_integrator", "unicycle"], 2, "2 entries, one for each robot"),
         (["unicycle", "bicycle"], 2, r"robot_model\[1\] is 'bicycle'"),
     ],

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import data_equivalence
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import trajectory_formats
-from rendezvous_env.robots.robot_models import MAX_KEPT
+from rendezvous_env.robots.robot_models import MAX_ANGLES
 
 ABOUT = {
     "author": "A. Nyone",
@@ -82,7 +82,7 @@ def test_dataset_has_offsets_of_moving_obstacles():
 def test_z_and_all_angles_have_names():
     scenario = five("nonholonomic_3d", time_limit=0.1)
     flown = rv.rollout(scenario, baselines.make("nonholonomic-3d", scenario))
-    angles = np.random.default_rng(0).normal(size=(*flown.active.shape, MAX_KEPT))
+    angles = np.random.default_rng(0).normal(size=(*flown.active.shape, MAX_ANGLES))
     turned = dataclasses.replace(flown, headings=angles)
     table, found = turned.to_dataframe(), turned.to_xarray()
     names = ["yaw", "pitch", "roll", "angle_3"]

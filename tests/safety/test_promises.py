@@ -5,6 +5,7 @@ Filters with injected faults must violate them.
 
 import math
 
+import numpy as np
 import pytest
 from conftest import MODELS, five
 from faulty_filters import mistaken
@@ -112,7 +113,11 @@ MISTAKES = {
     ),
     "nobody goes beyond its neighbour": (
         Gains,
-        lambda known: {"min_gain": 40.0, "max_gain": 40.0, "speed_limit": 40.0},
+        lambda known: {
+            "min_gains": np.full_like(known.min_gains, 40.0),
+            "max_gains": np.full_like(known.max_gains, 40.0),
+            "speed_limit": 40.0,
+        },
         (SIX.replace(graph="path", max_speed=1e3), "gains", {}),
     ),
     "balls may be three times as large": (

@@ -11,6 +11,7 @@ import pytest
 import test_verify
 
 import rendezvous_env as rv
+from rendezvous_env.sensors.sensing import PER_ROBOT
 from train.verify import adversaries, falsification, random_scenarios, random_starts
 from train.verify.falsification import ask, climb, play, repeat, shrink, write
 from train.verify.random_scenarios import CHOICES, Kind, Trial, trials_of
@@ -49,7 +50,7 @@ def test_random_scenarios_cover_all_kinds():
         *("directed", "directed_cycle", "switching", "proximity"),
     }
     models = {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
-    assert {scenario.robot_model for scenario in drawn} == models
+    assert {scenario.robot_model for scenario in drawn if not scenario.mixes_models} == models
     assert {scenario.n_robots for scenario in drawn} == {2, 3, 4, 5, 6}
     solid = [scenario for scenario in drawn if scenario.obstacles]
     assert {scenario.obstacle_contact for scenario in solid} == {"slide", "stop", "ignore"}
@@ -73,6 +74,57 @@ def test_random_scenarios_cover_clocks_and_events(monkeypatch):
     assert clocks == {*itertools.product(("periodic", "random", "bounded"), ("command", "stop"))}
     kinds = {"crash", "blind", "adversary", "compass", "slip", "disturbance", "noise"}
     assert set().union(*(one.events.kinds for one in drawn)) == kinds
+
+
+def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypatch):
+    before = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    monkeypatch.setattr(random_scenarios, "_VARIED", 0.0)
+    plain = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    changed = sum(one != other for one, other in zip(before, plain, strict=True))
+    assert 5 < changed < 0.25 * 150
+    monkeypatch.setattr(random_scenarios, "_VARIED", 0.9)
+    drawn = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    models = {name for one in drawn if one.mixes_models for name in one.robot_model}
+    assert models == {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
+    own = {name for one in drawn for name in one.sensing.per_robot}
+    assert own == set(PER_ROBOT)
+    assert {one.dim for one in drawn if isinstance(one.spawn_size, tuple)} == {2, 3}
+    assert {len(one.start_region) for one in drawn if one.start_region} == {1, 2}
+    bounded = [
+        one for one in drawn
+        if one.sensing.per_robot == ("dropout",)
+        and rv.certificate(one).expected_time_bound < math.inf
+    ]  # fmt: skip
+    assert bounded
+
+
+def test_random_gains_of_each_robot_are_within_those_of_all(monkeypatch):
+    before = [trials_of(0, number, number)[3] for number in range(120)]
+    monkeypatch.setattr(random_scenarios, "_VARIED", 0.0)
+    plain = [trials_of(0, number, number)[3] for number in range(120)]
+    own = 0
+    for one, other in zip(before, plain, strict=True):
+        if one.arguments != other.arguments:
+            low, high = (np.array(one.arguments[name]) for name in ("min_gain", "max_gain"))
+            assert len(low) == one.scenario.n_robots and (low <= high).all()
+            assert low.min() == other.arguments["min_gain"]
+            assert high.max() == other.arguments["max_gain"]
+            alike = next(falsification._simpler(one))
+            assert alike.arguments == other.arguments
+            own += 1
+    assert own > 2
+
+
+def test_shrunk_scenarios_leave_out_robots_with_their_sensors():
+    sensing = rv.Sensing(dropout=[0.1, 0.2, 0.3, 0.4])
+    fewer = [
+        one.scenario
+        for one in falsification._simpler(trial(SQUARE.replace(sensing=sensing)))
+        if one.scenario.n_robots == 3
+    ]
+    assert [one.sensing.dropout for one in fewer] == [
+        (0.2, 0.3, 0.4), (0.1, 0.3, 0.4), (0.1, 0.2, 0.4), (0.1, 0.2, 0.3),
+    ]  # fmt: skip
 
 
 def test_equal_seed_gives_equal_scenario():

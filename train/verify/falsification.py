@@ -331,6 +331,7 @@ def _simpler(trial: Trial) -> Iterator[Trial]:
     scenario, plain, exact = trial.scenario, rv.Scenario(), rv.Sensing()
     given = scenario.obstacles if isinstance(scenario.obstacles, tuple) else ()
     fields = ("max_speed", "time_step", "max_turn_rate", "obstacle_contact", "on_merge")
+    area = {"start_region": None}, {"start_region": None, "spawn_size": max(scenario.spawn_edges)}
     flaws = [one.name for one in dataclasses.fields(exact)]
     changes: list[dict[str, Any]] = [
         {"obstacles": ()},
@@ -338,12 +339,20 @@ def _simpler(trial: Trial) -> Iterator[Trial]:
         {"local_frames": "global"},
         {"activation": rv.Activation()},
         {"events": rv.Events()},
+        *area,
         *[{"sensing": replace(scenario.sensing, **{n: getattr(exact, n)})} for n in flaws],
         *[{"obstacles": given[:k] + given[k + 1 :]} for k in range(len(given))],
         *_fewer_robots(scenario),
         *_rounder(scenario),
     ]
+    own_limits = {name: one for name, one in trial.arguments.items() if isinstance(one, list)}
+    if own_limits:  # of each robot
+        of_all = {"min_gain": min, "max_gain": max}
+        alike = {name: of_all[name](own) for name, own in own_limits.items()}
+        yield replace(trial, arguments=trial.arguments | alike)
     for change in changes:
+        if own_limits and "n_robots" in change:
+            continue
         if any(getattr(scenario, name) != value for name, value in change.items()):
             with suppress(ValueError):
                 yield replace(trial, scenario=scenario.replace(**change))
@@ -360,6 +369,9 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
         change: dict[str, Any] = {
             name: tuple(table[k] for k in left) for name, table in tables.items() if table
         }
+        own = {name: getattr(scenario.sensing, name) for name in scenario.sensing.per_robot}
+        of_left: dict[str, Any] = {name: [row[k] for k in left] for name, row in own.items()}
+        change["sensing"] = replace(scenario.sensing, **of_left)
         with suppress(ValueError):  # nobody left to see
             if graph.kind in ("edges", "directed"):
                 made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix

@@ -143,7 +143,7 @@ class Monitor:
         self.growth_error, self.height_error = 0.0, np.zeros(count)
         self.met, self.free = np.full(count, np.inf), np.ones(count, dtype=bool)
         self.levels = np.full(count, n * budget)
-        self.sight = math.inf if scenario.sensing.range is None else scenario.sensing.range
+        self.sight = scenario.sensing.smallest("range")
         self.pieces = len(scenario.sensing_graph.components(n))
         growth = limits.get("link_growth", np.full(1, np.inf))[:, None, None]
         self.lasting = now.linked & (now.distances + growth <= self.sight)

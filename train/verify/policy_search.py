@@ -98,7 +98,7 @@ def _varied(random: np.random.Generator, scenario: rv.Scenario) -> rv.Scenario:
     varied = scenario.replace(n_robots=n, **fields)
     if random.random() < _DRAWN:
         return varied.replace(start_positions=None)
-    reach = reach_of(scenario.sensing.range, n, r)
+    reach = reach_of(scenario.sensing.smallest("range"), n, r)
     return varied.replace(start_positions=places_of.random_positions(random, n, dim, r, reach))
 
 

@@ -5,10 +5,11 @@ at their maximum length; obstacles at merge points; very different weights; long
 robots.
 """
 
+import dataclasses
 import math
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from .random_starts import log_uniform, pick
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
-Given = dict[str, dict[str, float]]  # arguments for each of CHOICES
+Given = dict[str, dict[str, Any]]  # arguments for each of CHOICES
 Starts = tuple[rv.Scenario, ...]
 
 STARTS = 6
@@ -37,6 +38,7 @@ _BY_CHANCE = 0.35
 """Fraction of these with detection by chance, for which a mean time is bounded."""
 _CLOCKED = 0.08  # share of scenarios in which robots have clocks of their own
 _EVENTFUL = 0.08  # share of scenarios with failures or disturbances
+_VARIED = 0.12  # share of scenarios whose robots differ in model or sensor, or with another area
 _CLIMBING = 0.15  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
@@ -62,7 +64,7 @@ class Trial:
 
     scenario: rv.Scenario
     by: str
-    arguments: dict[str, float]  # of the certificate, and of the wrapper
+    arguments: dict[str, Any]  # of the certificate, and of the wrapper
     frame: str = "local"
     period: int = 1  # base steps for which a choice is held
     seed: int = 0  # team b has this seed + b; adversaries are drawn from it
@@ -123,6 +125,8 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
             continue  # fields that do not go together
         scenario = _with_clocks(random.spawn(1)[0], scenario)
         scenario = _with_events(random.spawn(1)[0], scenario)
+        scenario = _varied(random.spawn(1)[0], scenario)
+        _vary_gains(random.spawn(1)[0], scenario, given)
         if scenario.start_positions is None:
             return scenario, given, ()
         # half of the others are drawn anew where no obstacles lie between the robots
@@ -199,10 +203,90 @@ def _with_events(random: Random, scenario: rv.Scenario) -> rv.Scenario:
     return scenario
 
 
+def _varied(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    """Mostly the scenario itself; else with robots of several models, sensors that differ between
+    robots, or initial positions drawn in a rectangle, a box or a region.
+    """
+    if random.random() >= _VARIED:
+        return scenario
+    change = pick(random, _of_several_models, _of_several_sensors, _in_an_area, _in_an_area)
+    with suppress(ValueError):  # fields that do not go together
+        return cast(rv.Scenario, change(random, scenario))
+    return scenario
+
+
+def _vary_gains(random: Random, scenario: rv.Scenario, given: Given) -> None:
+    """Give robots limits of gains of their own, rarely, between those of all."""
+    limits = given["gains"]
+    if random.random() < _VARIED and {*limits} == {"min_gain", "max_gain"}:
+        low, high = limits["min_gain"], limits["max_gain"]
+        own = np.sort(random.uniform(low, high, (2, scenario.n_robots)), axis=0)
+        own[0, 0], own[1, -1] = low, high
+        given["gains"] = {"min_gain": own[0].tolist(), "max_gain": own[1].tolist()}
+
+
+def _of_several_models(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    turning = "unicycle" if scenario.dim == 2 else "nonholonomic_3d"
+    models = [turning, "single_integrator", "double_integrator"]
+    return scenario.replace(
+        robot_model=[models[int(k)] for k in random.integers(0, 3, scenario.n_robots)]
+    )
+
+
+def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    """Sensors that differ between robots: half of them miss neighbours by chance alone, for which
+    a mean time is bounded.
+    """
+    n, r = scenario.n_robots, scenario.merge_radius
+    if random.random() < 0.5 and scenario.sensing_graph.kind != "proximity":
+        step = scenario.certified_step * log_uniform(random, 0.1, 1.0)
+        own = {"dropout": random.uniform(0.0, 0.8, n).tolist(), "noise": 0.0}
+        passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
+        return scenario.replace(
+            sensing=dataclasses.replace(by_chance(random, r, step), **own),
+            obstacles=passed,
+            max_speed=None,
+            time_step=step,
+            time_limit=1000.0 * step,
+            activation=rv.Activation(),
+            events=rv.Events(),
+        )
+    lists = {
+        "range": [r * log_uniform(random, 3.0, 100.0) for _ in range(n - 1)] + [None],
+        "field_of_view": random.uniform(0.5, 2.0 * np.pi, n).tolist(),
+        "noise": [log_uniform(random, 0.001, 1.0) for _ in range(n)],
+        "dropout": random.uniform(0.0, 0.9, n).tolist(),
+        "min_range": [r * log_uniform(random, 0.3, 30.0) for _ in range(n)],
+        "observer_bias": random.uniform(0.0, 1.0, n).tolist(),
+        "outliers": random.uniform(0.0, 0.5, n).tolist(),
+    }
+    names = random.permutation([*lists])[: pick(random, 1, 1, 2)]
+    return scenario.replace(
+        sensing=dataclasses.replace(scenario.sensing, **{name: lists[name] for name in names})
+    )
+
+
+def _in_an_area(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    """Initial positions drawn in a rectangle or box; in the plane half of the time in two convex
+    parts of it.
+    """
+    r, dim = scenario.merge_radius, scenario.dim
+    edges = [r * log_uniform(random, 16.0, 60.0) for _ in range(dim)]
+    changes: dict[str, Any] = {"spawn_size": edges, "start_positions": None}
+    if dim == 2 and random.random() < 0.5:
+        x, y = 0.5 * edges[0], 0.5 * edges[1]
+        a, b = random.uniform(0.0, 0.4, 2)
+        left = [[-x, -y], [-a * x, -y], [-b * x, y], [-x, y]]
+        right = [[a * x, -y], [x, b * y], [a * x, y]]
+        changes["start_region"] = [left, right][: pick(random, 1, 2)]
+    passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
+    return scenario.replace(**changes, obstacles=passed)
+
+
 def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0) -> Starts:
     """The scenario with ``STARTS`` variations of initial positions (k, n, d), m."""
     n, dim, r = scenario.n_robots, scenario.dim, scenario.merge_radius
-    reach, found = reach_of(scenario.sensing.range, n, r), list[rv.Scenario]()
+    reach, found = reach_of(scenario.sensing.smallest("range"), n, r), list[rv.Scenario]()
     for k in range(4 * STARTS):
         start = (
             places_of.random_positions(random, n, dim, r, reach) if random.random() < anew else None

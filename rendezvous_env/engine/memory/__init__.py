@@ -117,6 +117,8 @@ def load_fields(row, field, lane, lanes, parts):
     if len(parts) == 4:
         return row[k], row[k + s], row[k + 2 * s], row[k + 3 * s]
     first = row[k], row[k + s], row[k + 2 * s], row[k + 3 * s], row[k + 4 * s]
+    if len(parts) == 5:
+        return first
     return (*first, row[k + 5 * s], row[k + 6 * s], row[k + 7 * s], row[k + 8 * s])
 
 
@@ -180,6 +182,8 @@ def read(buffer, lane, parts):
     first = buffer[0, lane], buffer[1, lane], buffer[2, lane], buffer[3, lane]
     if len(parts) == 4:
         return first
+    if len(parts) == 5:
+        return (*first, buffer[4, lane])
     second = buffer[4, lane], buffer[5, lane], buffer[6, lane], buffer[7, lane]
     return (*first, *second, buffer[8, lane])
 

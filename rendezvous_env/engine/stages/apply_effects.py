@@ -57,7 +57,7 @@ def apply_effects(
     done in blocks in which no sample is due, as in all that follows.
 
     Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L), buffer
-    (≥ 2·L,).
+    (≥ 3·L,).
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -100,7 +100,7 @@ def _apply(width, axes, entries, purpose, effects, ends, team, work, row):
     keys, words, buffer = work
     if purpose == _DETECTS:
         robots_of, kept = (robots[block, i], robots[block, j]), (latent, number)
-        _detect(width, axes, entries, effects, robots_of, side, kept, buffer, words, row)
+        _detect(width, axes, entries, effects, robots_of, i, side, kept, buffer, words, row)
     elif purpose == _TURNS:
         _turn(width, axes, effects, i, side, (errors, number), keys, words, row)
     else:
@@ -111,8 +111,8 @@ def _apply(width, axes, entries, purpose, effects, ends, team, work, row):
 @inner_kernel
 def _is_called_for(effects, purpose):
     if purpose == _DETECTS:
-        return effects.nearest > 0.0 or effects.detects
-    return effects.turns if purpose == _TURNS else effects.outliers > 0.0
+        return effects.blind or effects.detects
+    return effects.turns if purpose == _TURNS else effects.replaces
 
 
 @inner_kernel
@@ -154,34 +154,34 @@ def _find_chances(width, axes, effects, pair, buffer):
         low, slope = points[k], (table[k + 1] - table[k]) / span
         for lane in range(lanes):
             buffer[lane] += slope * min(max(buffer[lanes + lane] - low, 0.0), span)
-    for lane in range(lanes):
-        buffer[lane] = 0.0 if buffer[lanes + lane] < effects.nearest else buffer[lane]
 
 
 @inner_kernel
-def _detect(width, axes, entries, effects, pair, side, kept, buffer, words, row):
-    """Drop a row of the lanes in which the neighbour is not detected."""
+def _detect(width, axes, entries, effects, pair, i, side, kept, buffer, words, row):
+    """Drop a row of the lanes in which robot i does not detect the neighbour."""
     lanes, (robot, other), (latent, number) = lane_count(width), pair, kept
+    nearest, share_kept, chance = effects.nearest[i], effects.kept[i], 2 * lanes
     for lane in range(lanes):
-        buffer[lanes + lane] = buffer[lane]
+        seen = buffer[lane] * share_kept
+        buffer[chance + lane] = 0.0 if buffer[lanes + lane] < nearest else seen
     if effects.falloff > 0.0:
         for lane in range(lanes):
             here = load_fields(robot, 0, lane, lanes, axes)
             offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
             frame = load_fields(robot, len(axes), lane, lanes, entries)
-            share = share_in_view(offset, frame, effects.half_field, effects.falloff)
-            buffer[lanes + lane] *= share
+            share = share_in_view(offset, frame, effects.half_fields[i], effects.falloff)
+            buffer[chance + lane] *= share
     if effects.remembers:
         for lane in range(lanes):
             even, odd = latent[0, number, lane], latent[1, number, lane]
             u = odd if words[2, 0, lane] != 0 else even
-            keep(u < buffer[lanes + lane], axes, row, lane)
+            keep(u < buffer[chance + lane], axes, row, lane)
     elif effects.detects:
         for lane in range(lanes):
-            keep(unit_number(words[0, side, lane]) < buffer[lanes + lane], axes, row, lane)
+            keep(unit_number(words[0, side, lane]) < buffer[chance + lane], axes, row, lane)
     else:
         for lane in range(lanes):
-            keep(buffer[lanes + lane] > 0.0, axes, row, lane)
+            keep(buffer[chance + lane] > 0.0, axes, row, lane)
 
 
 @inner_kernel
@@ -212,7 +212,9 @@ def _turn_by(width, axes, level, small, kept, keys, odd, row):
 def _replace(width, axes, entries, effects, pair, team, keys, words, row):
     """Replace a row by an outlier as long as it, in the lanes in which one is drawn."""
     lanes, (i, j, number), (block, merged_into, robots) = lane_count(width), pair, team
-    highest, lowest = highest_word(effects.outliers), words[0]
+    if effects.outliers[i] == 0.0:
+        return
+    highest, lowest = highest_word(effects.outliers[i]), words[0]
     for lane in range(lanes):
         lowest = min(lowest, words[lane])
     if lowest > highest:
@@ -322,7 +324,7 @@ def turn_observers(
     last,
     moves,
     samples_per_step,
-    deviation,
+    deviations,
     begin,
     end,
     seeds,
@@ -333,14 +335,14 @@ def turn_observers(
     rows,
 ):
     """Turn the rows from ``begin`` to ``end`` of each robot by the constant error of its sensor, of
-    this standard deviation, rad. Working memory: keys (2, L), turns (≥ 5·L,).
+    these standard deviations, (n,), rad. Working memory: keys (2, L), turns (≥ 5·L,).
     """
     for block in range(first, last):
         if not is_due(width, moves, samples_per_step, environments[block]):
             continue
         part_keys(width, block, moves, OBSERVER, seeds, episodes, environments[block], keys)
         for i in range(rows.shape[1]):
-            _draw_turns(width, axes, np.float32(deviation), i, keys, turns)
+            _draw_turns(width, axes, np.float32(deviations[i]), i, keys, turns)
             for number in range(begin, end):
                 row = rows[block - first, i, number]
                 for lane in range(lane_count(width)):

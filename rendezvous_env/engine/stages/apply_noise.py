@@ -153,14 +153,14 @@ def _turn_side(width, axes, side, errors, words, row):
 def _hide(width, axes, entries, errors, robot, other, row):
     """Drop the row of a robot out of range or outside the field of view of another one."""
     if errors.half_field < math.pi:
-        _see_within(width, axes, entries, errors.reach, errors.half_field, robot, other, row)
+        see_within(width, axes, entries, errors.reach, errors.half_field, robot, other, row)
     elif errors.reach < np.inf:
         # without an angle it becomes SIMD
-        _see_within(width, axes, entries, errors.reach, math.pi, robot, other, row)
+        see_within(width, axes, entries, errors.reach, math.pi, robot, other, row)
 
 
 @inner_kernel(inline="code")
-def _see_within(width, axes, entries, reach, half_field, robot, other, row):
+def see_within(width, axes, entries, reach, half_field, robot, other, row):
     """``is_seen`` in every lane; angles only if one of them may be at the edge of the view."""
     lanes = lane_count(width)
     if half_field < math.pi and _none_at_edge(width, axes, entries, half_field, robot, other):
@@ -249,7 +249,7 @@ def apply_noise_to_silhouettes(
             for m in range(slots):
                 seen = rows[block - first, i, own + m * points : own + (m + 1) * points]
                 if errors.half_field < math.pi:
-                    _see_in_view(axes, count, errors.half_field, seen)
+                    see_in_view(axes, count, errors.half_field, seen)
                 for side in range(points if turns else 0):
                     if side % 2 == 0:
                         couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
@@ -262,7 +262,7 @@ def apply_noise_to_silhouettes(
 
 
 @inner_kernel
-def _see_in_view(axes, count, half_field, rows):
+def see_in_view(axes, count, half_field, rows):
     """Keep all points of an obstacle if one of them is in the field of view."""
     for lane in range(count):
         seen = False

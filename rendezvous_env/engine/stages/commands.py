@@ -16,7 +16,7 @@ from ...physics.random_streams import ACTIVATION, ACTUATION, stream_key, uniform
 from ...physics.vectors import dot, to_local
 from ...robots.activation import is_adversarial, is_scheduled
 from ...robots.events import ADVERSARY, BLIND, CRASH, SIGHTED, drawn_disturbance, drawn_turn
-from ...robots.motion import propose
+from ...robots.motion import constants_of_robot, propose
 from ..memory import (
     RUNNING,
     STATUS,
@@ -75,10 +75,10 @@ def take_commands(
                 due = is_scheduled(rules, key, step, step - before - 1, i) or before == step
                 if is_adversarial(rules) and not due:
                     state, net_bearing = robots[block, i], vectors[1, i]
-                    gain = _work(robot, lanes, lane, state, action, net_bearing)
+                    gain = _work(robot, i, lanes, lane, state, action, net_bearing)
                     kept = 0.0
                     if not rules.stops:
-                        kept = _work(robot, lanes, lane, state, command, net_bearing)
+                        kept = _work(robot, i, lanes, lane, state, command, net_bearing)
                     due = gain < kept
                 # selection instead of a branch, which random activation would mispredict
                 activated[b, i], last_step[b, i] = due, step if due else before
@@ -97,11 +97,11 @@ def _find_net_bearings(links, robots, block, lane, lanes, vectors, listed, weigh
 
 
 @inner_kernel(inline="code")
-def _work(robot, lanes, lane, state, action, net_bearing):
+def _work(robot, i, lanes, lane, state, action, net_bearing):
     """f_i · Δ_i of an action, m²/s: half of the rate at which it lowers V."""
     d, given = len(robot.axes), action
     moved, _ = propose(
-        robot.model,
+        constants_of_robot(robot.model, robot.limits, i),
         _as_tuple(given, robot.inputs),
         load_fields(state, d, lane, lanes, robot.entries),
         load_fields(state, d + d * d, lane, lanes, robot.memories),

@@ -165,7 +165,7 @@ def update_robots(
                         met if contact[block * lanes + lane, i] else UNTOUCHED,
                     )
                     store_fields(after, state, d + d * d, lane, lanes)
-                    store_fields(frame_of(robot.model, frame, after), state, d, lane, lanes)
+                    store_fields(frame_of(model, frame, after), state, d, lane, lanes)
 
 
 @kernel
@@ -174,8 +174,8 @@ def refresh_frames(robot, lanes, first, last, robots):
     d = len(robot.axes)
     for block in range(first, last):
         for i in range(robots.shape[1]):
-            state = robots[block, i]
+            state, model = robots[block, i], constants_of_robot(robot.model, robot.limits, i)
             for lane in range(lanes):
                 frame = load_fields(state, d, lane, lanes, robot.entries)
                 kept = load_fields(state, d + d * d, lane, lanes, robot.memories)
-                store_fields(frame_of(robot.model, frame, kept), state, d, lane, lanes)
+                store_fields(frame_of(model, frame, kept), state, d, lane, lanes)

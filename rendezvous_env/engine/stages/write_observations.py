@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...robots.motion import proprioception
+from ...robots.motion import constants_of_robot, proprioception
 from ..memory import lane_count, load_fields
 
 _MANY_ROWS = 256  # rows that, with those of the other lanes, exceed the L1 cache
@@ -92,7 +92,7 @@ def sense_oneself(robot, lanes, first, last, robots, merged_into, observations):
             for i in range(robots.shape[1]):
                 state = robots[block, i]
                 seen = proprioception(
-                    robot.model,
+                    constants_of_robot(robot.model, robot.limits, i),
                     load_fields(state, d, lane, lanes, robot.entries),
                     load_fields(state, d + d * d, lane, lanes, robot.memories),
                 )

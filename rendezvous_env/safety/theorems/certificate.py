@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ...checks import choice, known_arguments, raise_invalid, to_float
+from ...checks import choice, is_sequence, known_arguments, raise_invalid, to_float
 from ...deprecation import renamed_attribute
 from ...field_docs import lists_fields
 from ...field_repr import repr_of_changes
@@ -145,8 +145,8 @@ def certificate(
     *,
     by: str | None = None,
     budget: float = 0.0,
-    min_gain: float | None = None,
-    max_gain: float | None = None,
+    min_gain: float | Sequence[float] | None = None,
+    max_gain: float | Sequence[float] | None = None,
     share: float = LAW.share,
     bearing_error: float = 0.0,
     policy: Any = None,
@@ -174,8 +174,9 @@ def certificate(
         by: "law", "heading", "tank", "gains" or "links"; None is "law" if ``min_alignment`` is 1,
             else "heading".
         budget: initial stored energy B_i of each robot's tank, m²/s.
-        min_gain: lower bound on the sum of a robot's gains, m/s; None is a*.
-        max_gain: upper bound on the sum of a robot's gains, m/s; None is D̄.
+        min_gain: lower bound on the sum of a robot's gains, m/s, or a list with one for each
+            robot; None is a*.
+        max_gain: upper bound on the sum of a robot's gains, m/s, likewise; None is D̄.
         share: λ in [10⁻⁶, 1], velocity share of the connectivity-maintaining law.
         bearing_error: bound on the bearing error, rad; η is the maximum of it and the bounded
             errors of the scenario's sensor.
@@ -193,7 +194,8 @@ def certificate(
     """
     scenario = resolve(scenario)
     given: dict[str, Any] = {"min_alignment": min_alignment, "budget": budget, "share": share}
-    given |= {"min_gain": min_gain, "max_gain": max_gain}
+    for name, limit in (("min_gain", min_gain), ("max_gain", max_gain)):
+        given[name] = tuple(limit) if is_sequence(limit) else limit  # type: ignore[arg-type]
     if policy is None:
         return answer(scenario, question(scenario, by, given, bearing_error))[0]
     for name, value in (given | {"by": by, "bearing_error": bearing_error}).items():

@@ -51,7 +51,7 @@ def starts_linked(scenario: Scenario, asked: Asked) -> str:
     if scenario.sensing.range is None:
         return ""
     n, graph = scenario.n_robots, scenario.sensing_graph
-    longest = scenario.sensing.range - merge_growth(scenario)
+    longest = scenario.sensing.smallest("range") - merge_growth(scenario)
     if scenario.start_positions is not None:
         from scipy.sparse import coo_array
 
@@ -83,21 +83,22 @@ def merge_growth(scenario: Scenario) -> float:
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Bounds on the time, on V for permanent links, and on links."""
-    n, reach, radius = scenario.n_robots, scenario.sensing.range, scenario.merge_radius
-    if reach is None:
+    n, radius = scenario.n_robots, scenario.merge_radius
+    unlimited = scenario.sensing.range is None
+    if unlimited:
         most = float(known.lyapunov_bound(scenario))
         degrees = known.min_degrees(scenario)
     else:
         heaviest, pairs = scenario.sensing_graph.extreme_weights(n)[1], n * (n - 1) / 2.0
         merges = radius * (2.0 if scenario.obstacles else 1.0)
-        most = 2.0 * heaviest * reach * (pairs + (n - 1) ** 2)
+        most = 2.0 * heaviest * scenario.sensing.smallest("range") * (pairs + (n - 1) ** 2)
         most += (n - 1) * merges * heaviest * pairs
         degrees = np.full(n - 1, known.lightest_link(scenario))
     speeds = np.minimum(degrees, min(scenario.min_speed_limit, radius / (2.0 * scenario.tau)))
     left = known.robots_left(scenario)
     sure = np.maximum(1.0 - 2.0 * left * asked.error / np.pi, 0.0)
     rates = 4.0 * asked.share * degrees * speeds * sure**2 / left
-    counted = reach is None or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
+    counted = unlimited or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
     time, tolerated = known.held_time(scenario, most, rates), math.pi / (2.0 * n)
     if lost := given.errors_outlasted(scenario, asked, tolerated):
         return Bounds(lost, tolerated_bearing_error=tolerated)

@@ -2,7 +2,8 @@
 
 **Sensor.** All rows are refreshed together, at most h apart, h = τ without a sample period, and
 held. Given the past, link ij is detected with probability p(‖p_ij‖) ≥ q, independently per ordered
-pair; with persistence it is redrawn with probability 1 − κ, and unchanged otherwise.
+pair; with persistence it is redrawn with probability 1 − κ, and unchanged otherwise. In E[L] robots
+may differ in p, and q is that of the robot that detects least.
 
 **E[T].** Undirected connected graph, no velocity scaling; white noise is allowed. With γ the mean
 cosine of the noise, A = γ(1−κ), b = γκ, p ≤ p̄, θ = 2D̄h/r, β = max(r p(d)/d) + r max p′₊ and X ≥
@@ -63,7 +64,8 @@ class Detection(NamedTuple):
 def detection_of(scenario: Scenario) -> Detection:
     """Detection probabilities, persistence and sample times of a scenario's sensor."""
     sensing, r = scenario.sensing, scenario.merge_radius
-    table = np.array(sensing.detection or ((0.0, 1.0),)) * (1.0, 1.0 - sensing.dropout)
+    table = np.array(sensing.detection or ((0.0, 1.0),))
+    table = table * (1.0, 1.0 - sensing.largest("dropout"))  # of the robot that detects least
     nearest = r * (_NEARER if sensing.detection else 1.0)
     first = nearest, float(np.interp(nearest, table[:, 0], table[:, 1]))
     d, p = np.vstack([first, table[table[:, 0] > nearest]]).T
@@ -213,10 +215,18 @@ def rows_keep_their_frame(scenario: Scenario, asked: Asked) -> str:
     return given.frames_stay(scenario, asked) if scenario.sensing.sample_period > 0.0 else ""
 
 
+def detects_alike(scenario: Scenario, asked: Asked) -> str:
+    """Two linked robots detect each other with the same probability, for U to be a potential."""
+    dropout = scenario.sensing.dropout
+    if isinstance(dropout, tuple):
+        return f"none: sensing.dropout is {list(dropout)}; theorem E[T] needs one for all robots"
+    return ""
+
+
 _white = given.departs_by_chance("noise")
 _drawn = given.departs_by_chance()
 _FREE = given.no_obstacles, rows_keep_their_frame
 THEOREMS = (
-    Theorem("E[T]", ("law",), (*given.TEAM, _white, *_FREE), lyapunov_bounds, False),
+    Theorem("E[T]", ("law",), (*given.TEAM, _white, detects_alike, *_FREE), lyapunov_bounds, False),
     Theorem("E[L]", ("law",), (*given.JOINED, _drawn, *_FREE), hull_bounds, False),
 )

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import Any, NamedTuple
@@ -45,8 +45,8 @@ class Asked(NamedTuple):
     by: str = "law"
     min_alignment: float = 1.0  # ε, without unit
     budget: float = 0.0  # B_i, m²/s
-    min_gain: float | None = None  # m/s
-    max_gain: float | None = None
+    min_gain: float | Sequence[float] | None = None  # m/s, of all robots or a list
+    max_gain: float | Sequence[float] | None = None
     share: float = 0.5  # λ, without unit
     error: float = 0.0  # η, rad: the larger of the argument and the error of the sensor
     observes_merges: bool = True  # whether tanks are told of merges, as wrappers are

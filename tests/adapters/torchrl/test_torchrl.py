@@ -57,6 +57,22 @@ def test_conditions_of_robots_are_in_the_group_info():
     assert (told["activated"][..., 0] == wanted).all()
 
 
+def test_mixed_team_with_sensors_per_robot_acts_as_in_the_vector_environment():
+    models = ["single_integrator", "unicycle", "double_integrator", "unicycle"]
+    sensing = {"field_of_view": [6.2, 1.2, 3.0, 2.0], "noise": [0.0, 0.1, 0.2, 0.0]}
+    choices = {**SHORT, "robot_model": models, "sensing": sensing, "obstacles": ()}
+    env = RendezvousEnv("clutter-8", 3, seed=1, **choices)
+    check_env_specs(env)
+    env = RendezvousEnv("clutter-8", 3, seed=5, **choices)
+    data, tape = drive(env, 5)
+    teams = training_env("clutter-8", 3, autoreset_mode=AutoresetMode.DISABLED, **choices)
+    seen, _ = teams.reset(seed=5)
+    for t, actions in enumerate(tape):
+        np.testing.assert_array_equal(data[SEEN][:, t], seen)
+        seen = teams.step(actions)[0]
+    assert (env.simulator.scenario.action_mask == np.ones((4, 2), bool)).all()
+
+
 def drive(env, steps, seed=0):
     """A rollout under a fixed sequence of actions, and the sequence."""
     random = torch.Generator().manual_seed(seed)

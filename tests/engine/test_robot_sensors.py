@@ -1,0 +1,209 @@
+"""Teams whose robots differ in range, field of view, noise, missed detections and blind zone."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL, started
+from test_sensing_engine import PLANE, RING, SPACE, WALLED, act
+
+import rendezvous_env as rv
+from rendezvous_env.sensors.sensing import PER_ROBOT
+
+SENSORS = {
+    "range": [None, 3.0, 5.0, 4.0, 8.0],
+    "field_of_view": [2.0 * math.pi, math.radians(66.0), 3.0, 1.0, 5.0],
+    "noise": [0.0, 0.1, 0.3, 0.01, 0.5],
+    "dropout": [0.0, 0.2, 0.4, 0.5, 0.7],
+    "min_range": [0.0, 2.0, 4.0, 1.0, 0.5],
+    "observer_bias": [0.1, 0.0, 0.3, 0.05, 1.0],
+    "outliers": [0.0, 0.5, 0.1, 1.0, 0.0],
+}
+DETECTED = {"detection": [[0.0, 1.0]]}  # misses of one chance and of several use one stream
+OTHERS = {
+    "plain": DETECTED,
+    "measured": {
+        "detection": [[0.0, 1.0], [5.0, 0.8]], "persistence": 0.5, "noise_correlation": 0.4,
+        "outlier_kind": "robot", "bias": 0.05, "sectors": 720,
+    },
+}  # fmt: skip
+FIELDS = {"plain": PER_ROBOT[:5], "measured": PER_ROBOT}
+"""Fields that differ: with observer_bias, noise of one level is applied in another order."""
+TEAMS = {
+    "plane": WALLED,
+    "space": SPACE,
+    "fewer rows": WALLED.replace(graph="cycle", local_frames="random"),
+    "one way": WALLED.replace(graph=rv.graphs.directed(UNEQUAL), obstacles=()),
+    "unicycles": WALLED.replace(robot_model="unicycle"),
+}
+
+
+def own(robot: int, others: str = "measured") -> dict:
+    """Sensor fields of one robot."""
+    return {name: SENSORS[name][robot] for name in FIELDS[others]}
+
+
+def mixed(others: str) -> rv.Sensing:
+    """Sensor whose fields differ between robots."""
+    return rv.Sensing(**{name: SENSORS[name] for name in FIELDS[others]}, **OTHERS[others])
+
+
+def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
+    """Observations of steps with actions that are independent of them, (steps, B, n, rows, d)."""
+    sim, found = started(scenario, batch, 3), []
+    for step in range(steps):
+        found.append(sim.observe().copy())
+        act(sim, step)
+    return np.stack(found)
+
+
+@pytest.mark.kernels
+@pytest.mark.parametrize("others", OTHERS)
+@pytest.mark.parametrize("team", TEAMS)
+def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
+    scenario, common = TEAMS[team], OTHERS[others]
+    found = seen(scenario.replace(sensing=mixed(others)), 2)
+    hidden = 0
+    for robot in range(5):
+        alone = seen(scenario.replace(sensing=rv.Sensing(**own(robot, others), **common)), 2)
+        np.testing.assert_array_equal(found[:, :, robot], alone[:, :, robot])
+        hidden += int((alone[:, :, robot] == 0.0).all(axis=-1).sum())
+    assert hidden > 20 and found.any()
+
+
+@pytest.mark.parametrize("others", OTHERS)
+@pytest.mark.parametrize("team", TEAMS)
+def test_sensors_batch_equals_singles(team, others):
+    scenario = TEAMS[team].replace(sensing=mixed(others))
+    many = seen(scenario, 40)
+    for team_number in (0, 17, 39):
+        sim = rv.Simulator(scenario, 1)
+        sim.reset(3 + team_number)
+        assert (sim.observe()[0] == many[0, team_number]).all()
+
+
+def test_sensors_view_falloff_ends_at_the_edge_of_each_robot():
+    views = [2.0 * math.pi, 2.0, 3.0, 1.0, 5.0]
+    scenario = WALLED.replace(sensing=rv.Sensing(field_of_view=views, view_falloff=0.4))
+    found = seen(scenario, 40, 1)[0]
+    exact = seen(WALLED, 40, 1)[0]
+    rows = scenario.observation_layout.neighbours
+    angles = np.abs(np.arctan2(exact[:, :, rows, 1], exact[:, :, rows, 0]))
+    present, there = found[:, :, rows].any(axis=-1), exact[:, :, rows].any(axis=-1)
+    half = 0.5 * np.array(views)[:, None]
+    assert (present[:, 0] == there[:, 0]).all()
+    assert not present[:, 1:][angles[:, 1:] > half[1:]].any()
+    inside = there[:, 1:] & (angles[:, 1:] < half[1:] - 0.4)
+    border = there[:, 1:] & (angles[:, 1:] < half[1:]) & (angles[:, 1:] > half[1:] - 0.4)
+    assert present[:, 1:][inside].all() and 0.2 < present[:, 1:][border].mean() < 0.8
+
+
+def test_sensors_given_one_by_one_are_fields_of_one_sensor():
+    listed = [rv.Sensing(**own(robot)) for robot in range(5)]
+    scenario = PLANE.replace(sensing=listed)
+    assert scenario.sensing == rv.Sensing(**SENSORS)
+    assert scenario.sensing.per_robot == PER_ROBOT
+    tables = [{name: value for name, value in own(k).items() if value} for k in range(5)]
+    assert PLANE.replace(sensing=tables) == scenario
+
+
+def test_sensors_survive_plain_data_and_toml(tmp_path):
+    scenario = PLANE.replace(sensing=rv.Sensing(**SENSORS, view_falloff=0.2))
+    assert rv.Scenario.from_plain(scenario.to_plain()) == scenario
+    scenario.to_toml(tmp_path / "own.toml")
+    again = rv.Scenario.from_toml(tmp_path / "own.toml")
+    assert again == scenario and 'range = [\n    "unlimited",\n    3.0' in (
+        tmp_path / "own.toml"
+    ).read_text(encoding="utf-8")
+
+
+def test_sensors_that_are_equal_are_one():
+    camera = rv.Sensing(
+        range=4.0, field_of_view=2.0, noise=0.1, dropout=0.2, min_range=0.1, observer_bias=0.1,
+        outliers=0.1,
+    )  # fmt: skip
+    equal = {name: [getattr(camera, name)] * 5 for name in PER_ROBOT}
+    assert rv.Sensing(**equal) == camera and rv.Sensing(range=[None] * 5) == rv.Sensing()
+    assert PLANE.replace(sensing=[camera] * 5) == PLANE.replace(sensing=camera)
+    assert PLANE.replace(sensing=[rv.Sensing()] * 5) == PLANE
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"range": [1.0, 2.0]}, r"sensing.range is \[1.0, 2.0\]; it must be 5 numbers"),
+        ({"dropout": [0.1, 0.2]}, "sensing.dropout is .*5 numbers, one for each robot"),
+        ({"min_range": [0.0, -1.0]}, r"sensing.min_range\[1\] is -1.0; it must be a finite"),
+        ({"field_of_view": [1.0, 7.0]}, r"sensing.field_of_view\[1\] is 7.0; it must be a pos"),
+        ({"range": [1.0, "far"]}, r"sensing.range\[1\] is 'far'; it must be a positive"),
+        ({"noise": []}, r"sensing.noise is \[\]; it must be one value, or a list"),
+        ({"view_falloff": 0.1, "field_of_view": [7.0]}, r"field_of_view\[0\]"),
+    ],
+)
+def test_sensors_are_refused_by_field_value_and_remedy(given, message):
+    with pytest.raises(ValueError, match=message):
+        PLANE.replace(sensing=given)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([], "a Sensing, or a list of one for each robot"),
+        ([{"delay": 1}] + [{}] * 4, r"sensing\[1\].delay is 0; it must be 1 as that of robot 0"),
+        ([{"noise": [0.1, 0.2]}] * 5, r"sensing\[0\].noise is \[0.1, 0.2\]; it must be one num"),
+        ([{"range": -1.0}] * 5, "sensing.range is -1.0"),
+        ([1, 2], r"sensing\[0\] is 1; it must be a Sensing"),
+    ],
+)
+def test_sensors_given_one_by_one_are_refused_by_field_value_and_remedy(given, message):
+    with pytest.raises(ValueError, match=message):
+        PLANE.replace(sensing=given)
+
+
+@pytest.mark.parametrize("field", ["range", "field_of_view"])
+def test_sensors_of_a_proximity_graph_are_alike(field):
+    sensing = rv.Sensing(
+        **{"range": 30.0, field: [20.0 if field == "range" else 2.0, 3.0, *[6.0] * 3]}
+    )
+    with pytest.raises(ValueError, match=f"sensing.{field} is .*; it must be one number for all"):
+        PLANE.replace(graph="proximity", sensing=sensing)
+
+
+def test_certificate_of_misses_is_that_of_the_robot_that_detects_least():
+    own, worst = (RING.replace(sensing=rv.Sensing(dropout=p)) for p in ([0.1] * 5 + [0.4], 0.4))
+    directed = [
+        one.replace(graph=rv.graphs.directed_cycle()) for one in (own, worst)
+    ]  # where theorem E[L] is the only one
+    bounds = [rv.certificate(one).expected_time_bound for one in directed]
+    assert bounds[0] == bounds[1] < math.inf
+    assert rv.certificate(own).expected_time_bound >= rv.certificate(worst).expected_time_bound
+
+
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [("range", [5.0, 9.0]), ("min_range", [0.0, 0.1]), ("field_of_view", [3.0, 6.0])],
+)
+def test_certificate_refuses_sensors_that_hide_neighbours(field, values):
+    scenario = RING.replace(sensing=rv.Sensing(**{field: values + [values[0]] * 4}))
+    for by in ("law", "links"):
+        found = rv.certificate(scenario, by=by)
+        assert not found.guaranteed and field in found.theorem
+
+
+def test_sensors_of_each_robot_in_interfaces():
+    sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")
+    scenario = PLANE.replace(sensing=mixed("measured"), on_merge="follow")
+    settings = {"guarantee": None, "learning_preset": False, "flatten": False}
+    robots = sb3.RobotVecEnv(rv.vector.training_env(scenario, 2, **settings))
+    named, teams = rv.parallel_env(scenario), rv.make_vec(scenario, num_envs=2)
+    sim = rv.Simulator(scenario, 2)
+    robots.seed(7), robots.reset()
+    named.reset(seed=7), teams.reset(seed=7), sim.reset(7)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (4, 5, 2)).astype(np.float32)
+    for one in actions:
+        wanted = sim.step(np.stack([one, one])).observations
+        rows = named.step(dict(zip(named.agents, one, strict=True)))[0]
+        np.testing.assert_array_equal(np.stack([*rows.values()]), wanted[0])
+        np.testing.assert_array_equal(teams.step(np.stack([one, one]))[0], wanted)
+        slots = robots.step(np.concatenate([one, one]))[0]
+        np.testing.assert_array_equal(slots, wanted.reshape(slots.shape))
