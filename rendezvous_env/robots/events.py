@@ -19,10 +19,18 @@ from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..limits import LARGEST, MAX_ROBOTS
 from ..physics.random_streams import EVENTS, stream_key, uniform
+from ..sensors.chance import cosine_and_sine
+from ..sensors.effects import unit_number
 
 CRASH, BLIND, SIGHTED, ADVERSARY = range(4)
 """Columns of the steps in which events begin or end."""
 NEVER = 2**62  # step of an event that does not happen
+DRAWS = 10
+"""Words of the stream ACTUATION for a robot in a step: slip, the bounded disturbance (3), the
+Gaussian one (4), the turn of its frame (2)."""
+_WITHIN = np.float32(1.0 - 2.0**-20)
+"""Factor that keeps a disturbance within its bound in spite of rounding."""
+_ONE, _TWO, _TURN = np.float32(1.0), np.float32(2.0), np.float32(2.0 * math.pi)
 _WANTED = {2: "a list of pairs [robot, time in s]", 3: "a list of [robot, start in s, end in s]"}
 
 
@@ -210,11 +218,12 @@ class EventRules(NamedTuple):
     """Constants of disturbances for kernels."""
 
     fails: bool
+    opposes: bool  # whether robots may be adversarial
     slip: float
     disturbance: float  # m/s
     noise: float  # m/s
     speed_limit: float  # m/s, of adversaries
-    drifts: NDArray[np.float64]  # (n,), rad per step
+    turns: NDArray[np.float64]  # (n, 2), cosine and sine of the drift of frames in a step
     walk: float  # rad, standard deviation of a step
 
 
@@ -231,13 +240,15 @@ class FaultRules(NamedTuple):
 def rules_of(scenario: Any) -> EventRules:
     """Constants of a scenario's disturbances."""
     events, tau = scenario.events, scenario.tau
+    drifts = np.broadcast_to(np.asarray(events.compass_drift) * tau, scenario.n_robots)
     return EventRules(
         fails=events.fails,
+        opposes="adversary" in events.kinds,
         slip=events.slip,
         disturbance=events.disturbance,
         noise=events.disturbance_noise,
         speed_limit=float(scenario.speed_limit),
-        drifts=np.broadcast_to(np.asarray(events.compass_drift) * tau, scenario.n_robots).copy(),
+        turns=np.stack([np.cos(drifts), np.sin(drifts)], axis=-1),
         walk=events.compass_walk * math.sqrt(tau),
     )
 
@@ -298,36 +309,27 @@ def _draw_kind(key, kind, count, column, rules, faults):
                 faults[i, SIGHTED] = max(one, two) + 1
 
 
-@inner_kernel
-def drawn_disturbance(rules, key, counter, axes):
-    """Velocity disturbance of a robot in a step, a pair or triple, m/s, in the global frame, from
-    eight numbers of a stream.
+@inner_kernel(inline="code")
+def velocity_within(radius, words, other, axes):
+    """A pair or triple, uniform in a disc or ball, in float32, from four or five uint32.
+
+    The largest of d uniform numbers u has the distribution of the distance, P(R < r) = rᵈ:
+
+        r = R max u,   v = r (cos α, sin α)   or   r (√(1 − h²) cos α, √(1 − h²) sin α, h)
     """
-    turn, x, y, z = 2.0 * math.pi, 0.0, 0.0, 0.0
-    if rules.disturbance > 0.0:
-        share, angle = uniform(key, counter), turn * uniform(key, counter + 1)
-        length, level = rules.disturbance * math.sqrt(share), 1.0
-        if len(axes) == 3:
-            height = 2.0 * share - 1.0
-            length = rules.disturbance * uniform(key, counter + 2) ** (1.0 / 3.0)
-            level, z = math.sqrt(max(1.0 - height * height, 0.0)), length * height
-        x, y = length * level * math.cos(angle), length * level * math.sin(angle)
-    if rules.noise > 0.0:
-        far = rules.noise * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 3)))
-        angle = turn * uniform(key, counter + 4)
-        x, y = x + far * math.cos(angle), y + far * math.sin(angle)
-        if len(axes) == 3:
-            far = rules.noise * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 5)))
-            z += far * math.cos(turn * uniform(key, counter + 6))
+    one, two, three, four = words
+    length = radius * _WITHIN * max(unit_number(one), unit_number(two))
+    x, y = cosine_and_sine(_TURN * unit_number(four), False)
     if len(axes) == 2:
-        return x, y
-    return x, y, z
+        return length * x, length * y
+    length = max(length, radius * _WITHIN * unit_number(three))
+    height = _TWO * unit_number(other) - _ONE
+    level = length * np.float32(math.sqrt(_ONE - height * height))
+    return level * x, level * y, length * height
 
 
-@inner_kernel
-def drawn_turn(rules, key, counter, i):
-    """Angle by which the frame of robot i turns in a step, rad, from two numbers of a stream."""
-    if rules.walk == 0.0:
-        return rules.drifts[i]
-    far = rules.walk * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter)))
-    return rules.drifts[i] + far * math.cos(2.0 * math.pi * uniform(key, counter + 1))
+@inner_kernel(inline="code")
+def unit_pair(x, y):
+    """A pair of nearly unit length, made so."""
+    factor = 1.0 / math.sqrt(x * x + y * y)
+    return x * factor, y * factor
