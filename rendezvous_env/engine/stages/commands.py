@@ -249,20 +249,27 @@ def disturb_commands(
     for block in range(first, last):
         environment, start = environments[block], block * lanes
         count = min(lanes, len(merged_into) - start)
-        _find_keys(width, start, count, ACTUATION, n * DRAWS, streams, environment, keys[0])
+        if rules.draws:
+            _find_keys(width, start, count, ACTUATION, n * DRAWS, streams, environment, keys[0])
         if rules.fails:
             _mark_faults(width, rules, start, count, faults, merged_into, environment, moves)
         for i in range(n):
             state, move = robots[block, i], moves[i]
-            _load_commands(width, robot, i, start, count, commands, move)
-            _take_share(width, robot, rules, i * DRAWS, keys[0], move)
+            _find_shares(width, robot, rules, i * DRAWS, keys[0], move)
             _disturb(width, robot, rules, i * DRAWS, keys[0], words, state, work, move)
             if rules.opposes:
                 _oppose(width, robot, rules, nets[block, i], move)
-            for k in range(len(robot.inputs)):
-                for lane in range(count):
-                    value = move[(len(robot.axes) + 1 + k) * lanes + lane]
-                    executed[start + lane, i, k] = value
+            _execute(width, robot, i, start, count, commands, move, executed)
+
+
+@inner_kernel(inline="code")
+def _execute(width, robot, i, start, count, commands, move, executed):
+    """Write the share of its command that robot i executes, and its velocity besides."""
+    lanes, d = lane_count(width), len(robot.axes)
+    for k in range(len(robot.inputs)):
+        for lane in range(count):
+            own = commands[start + lane, i, k] * move[d * lanes + lane]
+            executed[start + lane, i, k] = own + move[(d + 1 + k) * lanes + lane]
 
 
 @inner_kernel(inline="code")
@@ -284,33 +291,34 @@ def _mark_faults(width, rules, start, count, faults, merged_into, environment, m
 
 
 @inner_kernel(inline="code")
-def _take_share(width, robot, rules, counter, keys, move):
-    """Multiply the command of a robot by the share that slip leaves; by 0 after a crash.
+def _find_shares(width, robot, rules, counter, keys, move):
+    """Write the share of its command that a robot executes to the place of the path length.
 
-    The share takes the place of the path length.
+    Slip reduces it, and it is 0 after a crash. Its velocity besides, in the place of the action, is
+    0 so far.
     """
-    lanes, share = lane_count(width), len(robot.axes)
-    for lane in range(lanes):
-        works = 1.0 - move[_CRASHED * lanes + lane]
-        move[share * lanes + lane] = works if rules.fails else 1.0
+    lanes, d = lane_count(width), len(robot.axes)
+    move[d * lanes : (d + 1) * lanes] = 1.0
+    move[(d + 1) * lanes :] = 0.0
     if rules.slip > 0.0:
         for lane in range(lanes):
-            move[share * lanes + lane] *= 1.0 - rules.slip * uniform(keys[lane], counter)
-    for k in range(len(robot.inputs)):
+            move[d * lanes + lane] = 1.0 - rules.slip * uniform(keys[lane], counter)
+    if rules.fails:
         for lane in range(lanes):
-            move[(share + 1 + k) * lanes + lane] *= move[share * lanes + lane]
+            move[d * lanes + lane] *= 1.0 - move[_CRASHED * lanes + lane]
 
 
 @inner_kernel(inline="code")
 def _disturb(width, robot, rules, counter, keys, words, state, work, move):
-    """Add velocity disturbances to the command of a robot that has not crashed."""
+    """Add velocity disturbances, unless the robot has crashed."""
     lanes, d = lane_count(width), len(robot.axes)
     if rules.disturbance > 0.0:
         radius = np.float32(rules.disturbance)
         for k in range(3 if d == 3 else 2):
             halve(width, keys, counter + 1 + k, words[2 * k], words[2 * k + 1])
         for lane in range(lanes):
-            drawn = velocity_within(radius, read(words, lane, (0, 1, 2, 3)), words[4, lane], robot.axes)
+            four = read(words, lane, (0, 1, 2, 3))
+            drawn = velocity_within(radius, four, words[4, lane], robot.axes)
             store_fields(exactly(drawn), work, 0, lane, lanes)
         _add_velocity(width, robot, rules, state, work, move)
     if rules.noise > 0.0:
@@ -325,27 +333,28 @@ def _disturb(width, robot, rules, counter, keys, words, state, work, move):
 
 @inner_kernel(inline="code")
 def _add_velocity(width, robot, rules, state, work, move):
-    """Add velocities in the global frame, m/s, to the command of a robot that has not crashed."""
+    """Add velocities in the global frame, m/s, to those of a robot, unless it has crashed."""
     lanes, d = lane_count(width), len(robot.axes)
     for lane in range(lanes):
         frame = load_fields(state, d, lane, lanes, robot.entries)
         own = to_local(frame, load_fields(work, 0, lane, lanes, robot.axes))
         works = 1.0 - move[_CRASHED * lanes + lane] if rules.fails else 1.0
-        command = load_fields(move, d + 1, lane, lanes, robot.axes)
-        store_fields(add(command, works, own), move, d + 1, lane, lanes)
+        so_far = load_fields(move, d + 1, lane, lanes, robot.axes)
+        store_fields(add(so_far, works, own), move, d + 1, lane, lanes)
 
 
 @inner_kernel(inline="code")
 def _oppose(width, robot, rules, net, move):
-    """Replace the command of an adversarial robot by −f_i/‖f_i‖ at its full speed."""
+    """Velocity −f_i/‖f_i‖ at full speed, instead of its command, of an adversarial robot."""
     lanes, d = lane_count(width), len(robot.axes)
     for lane in range(lanes):
         away = exactly(read_row(net, lane, robot.axes))
         length = norm(away)
         own = scaled(away, -rules.speed_limit / length if length > 0.0 else 0.0)
         opposes = move[_ADVERSE * lanes + lane] * (1.0 - move[_CRASHED * lanes + lane])
-        command = scaled(load_fields(move, d + 1, lane, lanes, robot.axes), 1.0 - opposes)
-        store_fields(add(command, opposes, own), move, d + 1, lane, lanes)
+        move[d * lanes + lane] *= 1.0 - opposes
+        so_far = scaled(load_fields(move, d + 1, lane, lanes, robot.axes), 1.0 - opposes)
+        store_fields(add(so_far, opposes, own), move, d + 1, lane, lanes)
 
 
 @kernel
@@ -363,11 +372,12 @@ def turn_frames(
             count = min(lanes, len(streams[0]) - start)
             _find_keys(width, start, count, ACTUATION, n * DRAWS, streams, environment, keys[0])
         for i in range(n):
+            turn, state = (rules.turns[i, 0], rules.turns[i, 1]), robots[block, i]
             if rules.walk > 0.0:
                 _draw_turns(width, np.float32(rules.walk), i * DRAWS + 8, keys[0], words, work)
-                _turn_by(width, axes, entries, rules.turns[i], True, work, environment, robots[block, i])
+                _turn_by(width, axes, entries, turn, True, work, environment, state)
             else:
-                _turn_by(width, axes, entries, rules.turns[i], False, work, environment, robots[block, i])
+                _turn_by(width, axes, entries, turn, False, work, environment, state)
 
 
 @inner_kernel
@@ -376,20 +386,22 @@ def _draw_turns(width, walk, counter, keys, words, work):
     lanes = lane_count(width)
     halve(width, keys, counter, words[0], words[1])
     for lane in range(lanes):
-        c, s = cosine_and_sine(walk * gaussian(words[0, lane]), False)
-        work[lane], work[lanes + lane] = c, s
+        work[lane] = walk * gaussian(words[0, lane])
+    for lane in range(lanes):
+        c, s = cosine_and_sine(np.float32(work[lane]), False)
+        work[lane], work[lanes + lane] = unit_pair(np.float64(c), np.float64(s))
 
 
 @inner_kernel(inline="code")
 def _turn_by(width, axes, entries, turn, draws, work, environment, robot):
-    """Turn the frame of a robot by its constant turn, (2,), and by drawn ones."""
+    """Turn the frame of a robot by its constant turn, a cosine and a sine, and by drawn ones."""
     lanes, d = lane_count(width), len(axes)
     for lane in range(lanes):
         running = environment[STATUS * lanes + lane] == RUNNING
         c, s = (turn[0] if running else 1.0), (turn[1] if running else 0.0)
         if draws:
-            x, y = unit_pair(work[lane], work[lanes + lane])
-            x, y = (x if running else 1.0), (y if running else 0.0)
+            x = work[lane] if running else 1.0
+            y = work[lanes + lane] if running else 0.0
             c, s = c * x - s * y, s * x + c * y
         frame = load_fields(robot, d, lane, lanes, entries)
         store_fields(_turned(frame, c, s), robot, d, lane, lanes)
