@@ -16,7 +16,7 @@ from ..physics.vectors import dot, scaled, to_global
 from .motion import Motion, describe
 from .robot_models import RobotModel
 from .single_integrator import speed_scale
-from .unicycle import arc_2d, body_frame_2d, clip
+from .unicycle import arc_along, body_frame_2d, clip
 
 MEMBERS = ("single_integrator", "unicycle")
 """Robot models that a team can mix."""
@@ -46,7 +46,8 @@ def _propose(model, action, frame, memory):
 def _displacement_at(model, action, frame, memory, time):
     if model.turns > 0.0:
         speed = clip(action[0], model.speed_limit)
-        return arc_2d(speed, memory[0], clip(action[1], model.turn_limit), time)
+        turn_rate = clip(action[1], model.turn_limit)
+        return arc_along((frame[0], frame[2]), speed, turn_rate, time)
     _, factor = speed_scale(dot(action, action), model.speed_limit)
     return scaled(to_global(frame, action), time * factor)
 
@@ -73,7 +74,9 @@ def _update(model, action, frame, memory, displacement, contact):
 
 @kernel
 def _frame(model, frame, memory):
-    return body_frame_2d(memory[0])
+    if model.turns > 0.0:
+        return body_frame_2d(memory[0])
+    return frame
 
 
 @kernel

@@ -165,7 +165,7 @@ def update_robots(
                         met if contact[block * lanes + lane, i] else UNTOUCHED,
                     )
                     store_fields(after, state, d + d * d, lane, lanes)
-                    store_fields(frame_of(robot.model, frame, after), state, d, lane, lanes)
+                    store_fields(frame_of(model, frame, after), state, d, lane, lanes)
 
 
 @kernel
