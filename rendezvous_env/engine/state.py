@@ -104,6 +104,8 @@ class State:
         opposed = bounded or "adversary" in events.kinds
         self.nets = aligned(place.blocks * opposed, n, self.lanes * d, kind=np.float32)
         """f_i of every robot, see ``stages.commands.sum_bearings``; none without adversaries."""
+        self.has_conditions = self.activated.size + self.faults.size > 0
+        """True if ``conditions`` are not empty."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -191,6 +193,8 @@ class State:
 
     def conditions(self) -> dict[str, NDArray[np.bool_]]:
         """Condition of robots in the last step, (B, n) each, by infos key."""
+        if not self.has_conditions:
+            return {}
         found = {"activated": self.activated.copy()} if self.activated.size else {}
         if self.faults.size:
             kinds, (batch, n) = self.scenario.events.kinds, self.merged_into.shape
