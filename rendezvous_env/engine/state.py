@@ -96,7 +96,7 @@ class State:
         self.activated = np.zeros(clocked, np.bool_)
         """Robots that were active in the last step."""
         events = self.scenario.events
-        self.faults = np.full((place.batch, n if events.fails else 0, 4), NEVER)
+        self.faults = np.full((place.batch, 4, n if events.fails else 0), NEVER)
         """Steps of failures, see ``robots.events``; none if nothing fails."""
         size = self.scenario.action_size * events.drives
         self.executed = np.zeros((place.batch, n, size), np.float32)
@@ -126,7 +126,7 @@ class State:
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays["held"] = self.held
         self._arrays["traffic"] = self.traffic
-        self._arrays |= {"commands": self.commands, "faults": self.faults}
+        self._arrays |= {"commands": self.commands, "faults": self.faults.transpose(0, 2, 1)}
         self._arrays |= self.obstacles._asdict()
         self._arrays |= {} if self.index is None else self.index._asdict()
         self._in_blocks = set(in_blocks)

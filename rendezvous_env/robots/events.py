@@ -274,18 +274,18 @@ def fault_rules(scenario: Any) -> FaultRules:
 
 @kernel
 def draw_faults(which, rules, seeds, episodes, faults):
-    """Write the steps of all events of new episodes, (B, n, 4), given and drawn.
+    """Write the steps of all events of new episodes, (B, 4, n), given and drawn.
 
     For each kind the robots with the lowest of n random numbers are drawn, of those that have no
     given event.
     """
-    n = faults.shape[1]
+    n = faults.shape[2]
     for place in range(len(which)):
         b = which[place]
         key = stream_key(seeds[b], episodes[b], EVENTS)
         for i in range(n):
             for column in range(4):
-                faults[b, i, column] = rules.given[i, column]
+                faults[b, column, i] = rules.given[i, column]
         _draw_kind(key, 0, rules.crashed, CRASH, rules, faults[b])
         _draw_kind(key, 1, rules.blind, BLIND, rules, faults[b])
         _draw_kind(key, 2, rules.adversarial, ADVERSARY, rules, faults[b])
@@ -294,7 +294,7 @@ def draw_faults(which, rules, seeds, episodes, faults):
 @inner_kernel
 def _draw_kind(key, kind, count, column, rules, faults):
     """Draw ``count`` robots for one kind of event, and their times."""
-    n = len(faults)
+    n = faults.shape[1]
     for i in range(n if count > 0 else 0):
         if rules.given[i, column] != NEVER:
             continue
@@ -306,9 +306,9 @@ def _draw_kind(key, kind, count, column, rules, faults):
         if rank < count:
             one = int(uniform(key, (kind * n + i) * 3 + 1) * rules.steps)
             two = int(uniform(key, (kind * n + i) * 3 + 2) * rules.steps)
-            faults[i, column] = min(one, two) if column == BLIND else one
+            faults[column, i] = min(one, two) if column == BLIND else one
             if column == BLIND:
-                faults[i, SIGHTED] = max(one, two) + 1
+                faults[SIGHTED, i] = max(one, two) + 1
 
 
 @inner_kernel(inline="code")

@@ -169,12 +169,12 @@ def test_batch_equals_singles_with_clocks(kind, graph):
 
 @pytest.mark.parametrize("kind", [*KINDS])
 def test_state_continues_the_clocks(kind):
-    forced = kind == "bounded"  # by an adversary that counts the steps
+    counted = kind == "bounded"  # the adversary counts the steps of each robot
     sim = apart(activation=KINDS[kind])
     actions = tape(sim, 13)
     steps_of(sim, actions[:7])
     state, copy = sim.get_state(), pickle.loads(pickle.dumps(sim))
-    assert state["commands"].shape == (2, N, 2) and ("last_activation" in state) == forced
+    assert state["commands"].shape == (2, N, 2) and ("last_activation" in state) == counted
     other = rv.Simulator(sim.scenario, 2)
     other.set_state(state)
     first = steps_of(sim, actions[7:])
@@ -182,7 +182,7 @@ def test_state_continues_the_clocks(kind):
         for own, wanted in zip(steps_of(one, actions[7:]), first, strict=True):
             assert (own == wanted).all()
     assert_same_state(sim, other)
-    assert not forced or state["last_activation"].max() == 6
+    assert not counted or state["last_activation"].max() == 6
     for name, value in {"last_activation": 7, "commands": np.nan}.items():
         if name not in state:
             continue

@@ -241,7 +241,7 @@ def disturb_commands(
 ):
     """Write the commands that are executed after failures and disturbances, both (B, n, a).
 
-    ``faults`` are steps of events, (B, n, 4), ``streams`` the seeds and episodes, (B,), and
+    ``faults`` are steps of events, (B, 4, n), ``streams`` the seeds and episodes, (B,), and
     ``nets`` f_i of ``sum_bearings``. Working memory: keys (2, L), words (6, L), work (d·L,),
     moves (n, (d + 1 + a)·L).
     """
@@ -279,9 +279,9 @@ def _mark_faults(width, rules, start, count, faults, merged_into, environment, m
     for i in range(n):
         for lane in range(count):
             step = int(environment[STEPS * lanes + lane])
-            moves[i, _CRASHED * lanes + lane] = faults[start + lane, i, CRASH] <= step
+            moves[i, _CRASHED * lanes + lane] = faults[start + lane, CRASH, i] <= step
             if rules.opposes:
-                moves[i, _ADVERSE * lanes + lane] = faults[start + lane, i, ADVERSARY] <= step
+                moves[i, _ADVERSE * lanes + lane] = faults[start + lane, ADVERSARY, i] <= step
     for lane in range(count):
         if environment[ACTIVE * lanes + lane] < n:
             for i in range(n):
@@ -434,8 +434,8 @@ def hide_from_blind(lanes, first, last, moves, sensed, environments, faults, obs
     for block in range(first, last):
         for lane in range(min(lanes, len(faults) - block * lanes)):
             b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
-            for i in range(faults.shape[1]):
-                if faults[b, i, BLIND] <= step and step < faults[b, i, SIGHTED]:
+            for i in range(faults.shape[2]):
+                if faults[b, BLIND, i] <= step and step < faults[b, SIGHTED, i]:
                     rows = observations[b, i]
                     for row in range(sensed):
                         for k in range(rows.shape[1]):
@@ -451,20 +451,20 @@ def find_conditions(steps, merged_into, faults, crashed, adversarial, blind):
     for b in range(len(steps)):
         step, into, rows = int(steps[b]), merged_into[b], faults[b]
         for i in range(blind.shape[1]):
-            fails = (rows[i, BLIND] <= step) & (step < rows[i, SIGHTED])
+            fails = (rows[BLIND, i] <= step) & (step < rows[SIGHTED, i])
             blind[b, i] = fails & (into[i] == i)
         if crashed.shape[1] > 0:
-            _pass_on(step, into, rows, CRASH, crashed[b])
+            _pass_on(step, into, rows[CRASH], crashed[b])
         if adversarial.shape[1] > 0:
-            _pass_on(step, into, rows, ADVERSARY, adversarial[b])
+            _pass_on(step, into, rows[ADVERSARY], adversarial[b])
 
 
 @inner_kernel
-def _pass_on(step, into, faults, column, failed):
+def _pass_on(step, into, since, failed):
     """Mark the robots of one environment with an event before a step, which merged ones pass on."""
     merged = 0
     for i in range(len(into)):
-        failed[i] = (faults[i, column] < step) & (into[i] == i)
+        failed[i] = (since[i] < step) & (into[i] == i)
         merged += into[i] != i
     for i in range(len(into) if merged > 0 else 0):
-        failed[into[i]] |= faults[i, column] < step
+        failed[into[i]] |= since[i] < step
