@@ -286,7 +286,7 @@ class BatchRunner:
         def calls_of(part: Slice) -> list[Callable[[], Any]]:
             first, last, thread = part
             return [
-                partial(*one)
+                partial(one[0], *one[1:])
                 for start in range(first, last, group)
                 for one in stages.calls(
                     start, min(start + group, last), actions, output, scratch[thread], True

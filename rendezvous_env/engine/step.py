@@ -245,8 +245,8 @@ class StepStages:
             yield update_robots, width, robot, *given, _OUTPUT.contact
         if self._events is not None and state.scenario.events.turns_frames:
             shape, streams = (robot.axes, robot.entries), (state.seed, state.number)
-            memory = work.keys, work.words[0], work.pair
-            given = self._events, streams, environments, *memory, state.robots
+            own = work.keys, work.words[0], work.pair, state.robots
+            given = self._events, streams, environments, *own
             yield turn_frames, width, *shape, first, last, *given
 
     def _take_commands(

@@ -57,6 +57,7 @@ def commands_of(activity, actions, hold):
     return np.array(found)
 
 
+@pytest.mark.kernels
 @BATCHES
 def test_periodic_robots_are_active_in_their_own_steps(batch):
     sim = apart(activation=PERIODIC, batch=batch)
@@ -76,6 +77,7 @@ def test_phases_are_staggered_by_default():
     ]
 
 
+@pytest.mark.kernels
 def test_random_activation_has_its_probability_in_each_step():
     sim = apart(activation=rv.Activation(kind="random", probability=0.3), batch=400)
     activity, _ = steps_of(sim, tape(sim, 10))

@@ -174,8 +174,8 @@ def sensing(n: int, size: Size | None) -> list[Case]:
 def features(n: int, size: Size) -> list[Case]:
     """Batched steps with clocks, failures or a mixed team, relative to a scenario without them."""
     models = ["unicycle" if robot % 2 else "single_integrator" for robot in range(n)]
-    speeds = {"max_speed": [0.5 if robot % 2 else 1.0 for robot in range(n)]}
-    given = {"none": {}} | _FEATURES | {"two speeds": speeds}
+    speeds: dict[str, Any] = {"max_speed": [0.5 if robot % 2 else 1.0 for robot in range(n)]}
+    given: dict[str, Mapping[str, Any]] = {"none": {}, **_FEATURES, "two speeds": speeds}
     given["mixed team"] = {"robot_model": models, **speeds}
     builds = {
         name: partial(_vector, spread_out(n, **fields), size) for name, fields in given.items()
@@ -185,8 +185,10 @@ def features(n: int, size: Size) -> list[Case]:
 
 def many_shapes(num_envs: int, slots: int | None, size: Size) -> list[Case]:
     """Batched steps beside 2,000 boxes, relative to 20, with all rows or those of the nearest."""
-    chosen = {} if slots is None else {"obstacle_slots": slots, "obstacle_overflow": "nearest"}
-    rows, own = "all rows" if slots is None else f"{slots} nearest", size._replace(num_envs=num_envs)
+    own, chosen, rows = size._replace(num_envs=num_envs), {}, "all rows"
+    if slots is not None:
+        chosen = {"obstacle_slots": slots, "obstacle_overflow": "nearest"}
+        rows = f"{slots} nearest"
     builds = {
         f"{count:,} shapes, {rows}": partial(simulator_of, _among_boxes(count, **chosen), own)
         for count in (20, 2000)
