@@ -13,7 +13,7 @@ from ...compilation import inner_kernel, kernel
 from ...graphs.edges import DENSE, load_links
 from ...physics.potential import net_bearings_of_links
 from ...physics.random_streams import ACTIVATION, ACTUATION, later_key, stream_key, uniform
-from ...physics.vectors import add, dot, exactly, norm, scaled, to_local
+from ...physics.vectors import add, dot, exactly, norm, scaled, to_global, to_local
 from ...robots.activation import is_adversarial, is_drawn, is_random, is_scheduled
 from ...robots.events import (
     ADVERSARY,
@@ -24,6 +24,7 @@ from ...robots.events import (
     unit_pair,
     velocity_within,
 )
+from ...robots.motion import constants_of_robot, propose
 from ...sensors.chance import cosine_and_sine, gaussian
 from ..memory import (
     ACTIVE,
@@ -40,7 +41,6 @@ from ..memory import (
     write_row,
 )
 from .apply_noise import halve
-from .propose import propose_robot
 
 _ZERO, _NONE, _ALL = np.float32(0.0), np.int32(0), np.int32(-1)
 _GAIN, _KEPT, _DUE = range(3)
@@ -165,11 +165,14 @@ def _load_commands(width, robot, i, start, count, commands, move):
 def _weigh(width, robot, i, state, net, move, field, work):
     """f_i · Δ_i of the action of a motion, m²/s: half of the rate at which it lowers V."""
     lanes, d = lane_count(width), len(robot.axes)
-    propose_robot(width, robot, i, state, move)
+    model = constants_of_robot(robot.model, robot.limits, i)
     for lane in range(lanes):
         frame = load_fields(state, d, lane, lanes, robot.entries)
-        moved = to_local(frame, load_fields(move, 0, lane, lanes, robot.axes))
-        work[field * lanes + lane] = dot(moved, exactly(read_row(net, lane, robot.axes)))
+        action = load_fields(move, d + 1, lane, lanes, robot.inputs)
+        memory = load_fields(state, d + d * d, lane, lanes, robot.memories)
+        moved, _ = propose(model, action, frame, memory)
+        own = to_global(frame, exactly(read_row(net, lane, robot.axes)))
+        work[field * lanes + lane] = dot(moved, own)
 
 
 @inner_kernel(inline="code")

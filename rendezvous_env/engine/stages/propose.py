@@ -58,14 +58,14 @@ def propose_motion(
                 for lane in range(len(values)):
                     row[(d + 1 + k) * lanes + lane] = values[lane]
         for i in range(n):
-            propose_robot(width, robot, i, robots[block, i], move[i])
+            _propose_robot(width, robot, i, robots[block, i], move[i])
         _hold_still(width, move, count, start, environment, merged_into)
         near += _begin_step(width, reach, environment)
     return near
 
 
 @inner_kernel(inline="code")
-def propose_robot(width, robot, i, state, move):
+def _propose_robot(width, robot, i, state, move):
     """Propose the motion of robot i in every lane, from the action in its fields."""
     lanes, d = lane_count(width), len(robot.axes)
     model = constants_of_robot(robot.model, robot.limits, i)
