@@ -19,8 +19,6 @@ from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..limits import LARGEST, MAX_ROBOTS
 from ..physics.random_streams import EVENTS, stream_key, uniform
-from ..sensors.chance import cosine_and_sine
-from ..sensors.effects import unit_number
 
 CRASH, BLIND, SIGHTED, ADVERSARY = range(4)
 """Columns of the steps in which events begin or end."""
@@ -28,9 +26,6 @@ NEVER = 2**62  # step of an event that does not happen
 DRAWS = 10
 """Words of the stream ACTUATION for a robot in a step: slip, the bounded disturbance (3), the
 Gaussian one (4), the turn of its frame (2)."""
-_WITHIN = np.float32(1.0 - 2.0**-20)
-"""Factor that keeps a disturbance within its bound in spite of rounding."""
-_ONE, _TWO, _TURN = np.float32(1.0), np.float32(2.0), np.float32(2.0 * math.pi)
 _WANTED = {2: "a list of pairs [robot, time in s]", 3: "a list of [robot, start in s, end in s]"}
 
 
@@ -309,25 +304,6 @@ def _draw_kind(key, kind, count, column, rules, faults):
             faults[column, i] = min(one, two) if column == BLIND else one
             if column == BLIND:
                 faults[SIGHTED, i] = max(one, two) + 1
-
-
-@inner_kernel(inline="code")
-def velocity_within(radius, words, other, axes):
-    """A pair or triple, uniform in a disc or ball, in float32, from four or five uint32.
-
-    The largest of d uniform numbers u has the distribution of the distance, P(R < r) = rᵈ:
-
-        r = R max u,   v = r (cos α, sin α)   or   r (√(1 − h²) cos α, √(1 − h²) sin α, h)
-    """
-    one, two, three, four = words
-    length = radius * _WITHIN * max(unit_number(one), unit_number(two))
-    x, y = cosine_and_sine(_TURN * unit_number(four), False)
-    if len(axes) == 2:
-        return length * x, length * y
-    length = max(length, radius * _WITHIN * unit_number(three))
-    height = _TWO * unit_number(other) - _ONE
-    level = length * np.float32(math.sqrt(_ONE - height * height))
-    return level * x, level * y, length * height
 
 
 @inner_kernel(inline="code")

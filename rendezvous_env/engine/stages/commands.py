@@ -22,10 +22,9 @@ from ...robots.events import (
     DRAWS,
     SIGHTED,
     unit_pair,
-    velocity_within,
 )
 from ...robots.motion import constants_of_robot, propose
-from ...sensors.chance import cosine_and_sine, gaussian
+from ...sensors.chance import cosine_and_sine, drawn_within, gaussian
 from ..memory import (
     ACTIVE,
     RUNNING,
@@ -321,7 +320,7 @@ def _disturb(width, robot, rules, counter, keys, words, state, work, move):
             halve(width, keys, counter + 1 + k, words[2 * k], words[2 * k + 1])
         for lane in range(lanes):
             four = read(words, lane, (0, 1, 2, 3))
-            drawn = velocity_within(radius, four, words[4, lane], robot.axes)
+            drawn = drawn_within(radius, four, words[4, lane], robot.axes)
             store_fields(exactly(drawn), work, 0, lane, lanes)
         _add_velocity(width, robot, rules, state, work, move)
     if rules.noise > 0.0:
