@@ -89,7 +89,7 @@ def test_bench_rows_can_be_selected_without_learners(tmp_path, monkeypatch, caps
     monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
     [row], _ = measured(tmp_path, only=("one-team", "heading-ppo"))
     assert (row["group"], row["name"], row["ratio"]) == ("one-team", "PettingZoo", None)
-    assert "memory per team, n = 3" in capsys.readouterr().out
+    assert "memory per environment, n = 3" in capsys.readouterr().out
 
 
 def test_ratio_refers_to_named_case(monkeypatch):
