@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from itertools import groupby
+from itertools import groupby, starmap
 from operator import call
 from typing import Any, NamedTuple, Protocol
 
@@ -218,7 +218,8 @@ class BatchRunner:
         blocks = place.blocks
         if (tuner := self._tuner).max_threads == 1:  # no threading overhead
             calls = self._calls_of_one_thread(actions, output)
-            deque(map(call, calls), 0)  # one instruction, so an interrupt leaves all calls or none
+            # one instruction, so an interrupt leaves all calls or none
+            deque(starmap(call, calls), 0)
         else:
             calls_of = self._step_calls(actions, output)
             threads.share(calls_of, blocks, tuner.begin(), tuner.head_start)
@@ -313,7 +314,7 @@ class BatchRunner:
             for part in parts
             for one in self._stages.calls(*part, None, output, self.scratch, False)
         ]
-        deque(map(call, [*calls, self._state.settle]), 0)
+        deque(starmap(call, [*calls, (self._state.settle,)]), 0)
 
     def _step_calls(
         self, actions: NDArray[np.float32], output: StepOutput
@@ -330,7 +331,7 @@ class BatchRunner:
         def calls_of(part: Slice) -> list[Callable[[], Any]]:
             first, last, thread = part
             return [
-                one
+                partial(one[0], *one[1:])
                 for start in range(first, last, group)
                 for one in stages.calls(
                     start, min(start + group, last), actions, output, scratch[thread], True
@@ -344,20 +345,20 @@ class BatchRunner:
 
     def _calls_of_one_thread(
         self, actions: NDArray[np.float32], output: StepOutput
-    ) -> list[Callable[[], Any]]:
-        """Calls that advance all blocks in one thread.
+    ) -> list[tuple[Any, ...]]:
+        """Calls that advance all blocks in one thread, as ``StepStages.calls``.
 
         With few blocks, contacts and merges are neither called nor compiled until they can occur.
         """
         stages, blocks = self._stages, self._state.place.blocks
         if blocks > self._state.place.group:
-            return self._step_calls(actions, output)((0, blocks, 0))
+            return [(one,) for one in self._step_calls(actions, output)((0, blocks, 0))]
         if self._may_overflow:
             output.neighbour_overflow.fill(-1)
         calls = stages.calls(0, blocks, actions, output, self.scratch, self._near)
         if ahead := stages.n_ahead:
-            deque(map(call, calls[:ahead]), 0)
-        near = calls[ahead]() > 0.0
+            deque(starmap(call, calls[:ahead]), 0)
+        near = call(*calls[ahead]) > 0.0
         if near and not self._near:
             calls = stages.calls(0, blocks, actions, output, self.scratch, True)
         self._near = near

@@ -11,7 +11,7 @@ from ..obstacles import obstacle_set, parsing, spatial_index
 from ..obstacles.disc import BALL
 from ..obstacles.obstacle_set import ObstacleSet
 from ..obstacles.shape import BOUND, MIDDLE
-from ..robots.events import ADVERSARY, BLIND, CRASH, NEVER, SIGHTED
+from ..robots.events import NEVER
 from ..traffic.motion import STATE
 from .edge_tables import changes_of, empty_links, matrices, state_arrays
 from .memory import (
@@ -23,6 +23,7 @@ from .memory import (
     SENSED_LYAPUNOV,
 )
 from .memory_layout import MemoryLayout, aligned
+from .stages.commands import find_conditions
 
 KEPT = {
     "status": np.int64,
@@ -35,8 +36,8 @@ KEPT = {
 """Statistics that belong to the state, with their types; the others are derived."""
 
 
-_PASSED_ON = ("crashed", "crash", CRASH), ("adversarial", "adversary", ADVERSARY)
-"""Key, kind and column of events that robots pass on to those with which they merge."""
+_FAILURES = ("crashed", "crash"), ("adversarial", "adversary"), ("blind", "blind")
+"""Infos key and kind of the events of robots."""
 
 
 class State:
@@ -88,16 +89,23 @@ class State:
         self.commands = np.zeros((*clocked, self.scenario.action_size), np.float32)
         """Commands in execution, see ``stages.commands``; none if robots are synchronous, as of
         the next two."""
-        self.last_activation = np.full(clocked, -1)
-        """Step of each robot's last activation, −1 before the first."""
+        bounded = self.scenario.activation.kind == "bounded"
+        self.last_activation = aligned(place.blocks * bounded, n, self.lanes, kind=np.int64)
+        """Step of each robot's last activation, −1 before the first; none without an adversary."""
+        self.last_activation[:] = -1
         self.activated = np.zeros(clocked, np.bool_)
         """Robots that were active in the last step."""
-        fails = self.scenario.events.fails
-        self.faults = np.full((place.batch, n if fails else 0, 4), NEVER)
+        events = self.scenario.events
+        self.faults = np.full((place.batch, 4, n if events.fails else 0), NEVER)
         """Steps of failures, see ``robots.events``; none if nothing fails."""
-        drives = self.scenario.events.drives
-        self.executed = np.zeros((place.batch, n, self.scenario.action_size * drives), np.float32)
+        size = self.scenario.action_size * events.drives
+        self.executed = np.zeros((place.batch, n, size), np.float32)
         """Commands after failures and disturbances; none without them."""
+        opposed = bounded or "adversary" in events.kinds
+        self.nets = aligned(place.blocks * opposed, n, self.lanes * d, kind=np.float32)
+        """f_i of every robot, see ``stages.commands.sum_bearings``; none without adversaries."""
+        self.has_conditions = self.activated.size + self.faults.size > 0
+        """True if ``conditions`` are not empty."""
         self._all = np.arange(place.batch)
         fields = self.robots.reshape(place.blocks, n, place.fields, self.lanes)
         self._fields = self.environments.reshape(place.blocks, N_FIELDS, self.lanes)
@@ -112,14 +120,13 @@ class State:
             "discs": self.discs.reshape(place.blocks, place.discs, 3, self.lanes),
             "detection": self.detection,
             "errors": self.errors,
+            "last_activation": self.last_activation,
         }
         self._arrays: dict[str, NDArray[Any]] = {**in_blocks, "merged_into": self.merged_into}
         self._arrays |= {**links, "seed": self.seed, "episode": self.number, "past": self.past}
         self._arrays["held"] = self.held
         self._arrays["traffic"] = self.traffic
-        clocks = {"commands": self.commands, "last_activation": self.last_activation}
-        clocks["faults"] = self.faults
-        self._arrays |= clocks
+        self._arrays |= {"commands": self.commands, "faults": self.faults.transpose(0, 2, 1)}
         self._arrays |= self.obstacles._asdict()
         self._arrays |= {} if self.index is None else self.index._asdict()
         self._in_blocks = set(in_blocks)
@@ -131,7 +138,8 @@ class State:
         self._kept += ["frames"] if self.scenario.model.n_angles == 0 else []
         self._kept += ["traffic"] if place.moving else []
         of_sensors = "past", "detection", "errors", "held"
-        self._kept += [name for name in (*of_sensors, *clocks) if self._arrays[name].size]
+        own = *of_sensors, "commands", "last_activation", "faults"
+        self._kept += [name for name in own if self._arrays[name].size]
         # the first observation of an episode writes what sensors keep
         begun = {name: array for name, array in self._arrays.items() if name not in of_sensors}
         self._begun_anew = [name for name, array in begun.items() if array.size]
@@ -185,19 +193,16 @@ class State:
 
     def conditions(self) -> dict[str, NDArray[np.bool_]]:
         """Condition of robots in the last step, (B, n) each, by infos key."""
+        if not self.has_conditions:
+            return {}
         found = {"activated": self.activated.copy()} if self.activated.size else {}
         if self.faults.size:
-            steps = self.statistic("steps")[:, None]
-            kinds, rows = self.scenario.events.kinds, self._all[:, None]
-            own = self.merged_into == np.arange(self.scenario.n_robots)
-            for key, kind, column in _PASSED_ON:
-                if kind in kinds:
-                    since = np.full(own.shape, NEVER)
-                    np.minimum.at(since, (rows, self.merged_into), self.faults[..., column])
-                    found[key] = own & (since < steps)
-            if "blind" in kinds:
-                failed = self.faults[..., BLIND], self.faults[..., SIGHTED]
-                found["blind"] = own & (failed[0] <= steps) & (steps < failed[1])
+            kinds, (batch, n) = self.scenario.events.kinds, self.merged_into.shape
+            marks = [np.zeros((batch, n * (kind in kinds)), np.bool_) for _, kind in _FAILURES]
+            given = self.statistic("steps"), self.merged_into, self.faults
+            find_conditions(*given, *marks)
+            named = zip(_FAILURES, marks, strict=True)
+            found |= {key: array for (key, kind), array in named if kind in kinds}
         return found
 
     def lay_out_discs(self, which: NDArray[np.int64]) -> None:
@@ -223,8 +228,9 @@ class State:
             fields[EPISODE_FIELDS.index(name)] = value
         self.give(which, environments=fields[None], merged_into=np.arange(n))
         if self.commands.size:
-            self.commands[which], self.last_activation[which] = 0.0, -1
-            self.activated[which] = False
+            self.commands[which], self.activated[which] = 0.0, False
+        if self.last_activation.size:
+            self.give(which, last_activation=np.array(-1))
 
     def settle(self) -> None:
         """Set V of all environments from an observation without a step."""

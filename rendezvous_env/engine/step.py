@@ -14,6 +14,7 @@ From the action to the new observation, over the blocks of one thread after anot
     turn_frames                 drift of local frames
     update_links                arcs that change with time
     sense_pairs, sense_links    bearings of neighbours, V, the closest pair
+    sum_bearings                net bearings, for adversaries
     sense_discs, sense_shapes   angular extents of obstacles, clearance
     sense_indexed               instead of both, for many obstacles
     limit_views                 range and field of view that differ between robots
@@ -62,7 +63,13 @@ from .stages.collide import (
     stop_at_obstacles,
     stop_curves_at_obstacles,
 )
-from .stages.commands import disturb_commands, hide_from_blind, take_commands, turn_frames
+from .stages.commands import (
+    disturb_commands,
+    hide_from_blind,
+    sum_bearings,
+    take_commands,
+    turn_frames,
+)
 from .stages.conclude import conclude_step
 from .stages.limit_views import limit_views, limit_views_of_silhouettes
 from .stages.move_obstacles import move_obstacles, settle_merged
@@ -130,8 +137,10 @@ class StepStages:
         output: StepOutput,
         scratch: Scratch,
         collides: bool,
-    ) -> list[Call]:
-        """Calls of some blocks, in order; missing kernels are compiled.
+    ) -> list[tuple[Any, ...]]:
+        """Calls of some blocks, in order, each a function and arguments for ``operator.call``.
+
+        Missing kernels are compiled.
 
         With actions (B, n, a), those of a step, including contacts and merges if it ``collides``.
         Without actions, those of an observation.
@@ -145,8 +154,7 @@ class StepStages:
         if (plan := self._plans.get(key)) is None:
             stages = self._stages_of(first, last, actions is not None, collides, scratch)
             plan = self._plans[key] = [self._bound(given, *stage) for stage in stages]
-        # a nested partial call is as fast, and creating one takes 0.2 µs
-        return [call if late is None else partial(call, *late(given)) for call, late in plan]
+        return [(call,) if late is None else (call, *late(given)) for call, late in plan]
 
     def _bound(self, given: tuple[Any, ...], kernel: Any, *arguments: Any) -> tuple[Call, Any]:
         """Call of a kernel with all arguments except the late ones.
@@ -239,27 +247,28 @@ class StepStages:
             yield update_robots, width, robot, *given, _OUTPUT.contact
         if self._events is not None and state.scenario.events.turns_frames:
             shape, streams = (robot.axes, robot.entries), (state.seed, state.number)
-            given = self._events, streams, environments, state.robots
-            yield turn_frames, *shape, lanes, first, last, *given
+            own = work.keys, work.words[0], work.pair, state.robots
+            given = self._events, streams, environments, *own
+            yield turn_frames, width, *shape, first, last, *given
 
     def _take_commands(
         self, clocks: ActivationRules, first: int, last: int, work: Scratch
     ) -> tuple[Any, ...]:
-        state = self._state
+        state, width = self._state, self._state.place.width
         streams, now = (state.seed, state.number), (state.robots, state.merged_into)
         kept = state.commands, state.last_activation, state.activated
-        given = clocks, streams, *now, state.environments, state.links, kept
-        memory = work.vectors, work.listed, work.numbers[0]
-        return take_commands, self._robot, state.lanes, first, last, *given, *memory, _ACTIONS
+        given = clocks, streams, *now, state.environments, state.nets, kept
+        memory = work.keys, work.pair, work.moves[0]
+        return take_commands, width, self._robot, first, last, *given, *memory, _ACTIONS
 
     def _disturb_commands(
         self, events: EventRules, first: int, last: int, work: Scratch, commands: Any
     ) -> tuple[Any, ...]:
-        state = self._state
+        state, width = self._state, self._state.place.width
         streams, now = (state.seed, state.number), (state.robots, state.merged_into)
-        given = events, streams, *now, state.environments, state.links, state.faults, state.executed
-        memory = work.vectors, work.listed, work.numbers[0], work.counts
-        return disturb_commands, self._robot, state.lanes, first, last, *given, *memory, commands
+        given = events, streams, *now, state.environments, state.nets, state.faults, state.executed
+        memory = work.keys, work.words.reshape(-1, width.lanes), work.pair, work.moves[0]
+        return disturb_commands, width, self._robot, first, last, *given, *memory, commands
 
     def _move_obstacles(self, first: int, last: int, traffic: Traffic, work: Scratch) -> Any:
         state, rules = self._state, self._constants
@@ -291,6 +300,9 @@ class StepStages:
         else:
             given = rules.neighbour_slots, links, robots, work.counts, state.environments
             yield sense_links, *shape, *blocks, *given, _ROWS, _OUTPUT.neighbour_overflow
+        if state.nets.size:
+            given = robots, links, work.vectors, work.listed, work.numbers[0], state.nets
+            yield sum_bearings, state.place.width, *shape, *blocks, *given, _ROWS
         if rules.packs:
             docked = rules.body_radius + 0.5 * rules.merge_radius
             yield hide_docked, state.lanes, *blocks, docked, robots, work.vectors[0], _ROWS

@@ -163,8 +163,10 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
         over, met = status != RUNNING, status == RENDEZVOUS
         table = maybe_flatten(outcome.observations[0], self.flatten)
         (earned,), (active,) = outcome.robot_rewards.tolist(), outcome.active.tolist()
-        (into,), (contact,) = simulator.merged_into.tolist(), outcome.contact.tolist()
+        (into,), (contact,) = simulator.copy_of_merged().tolist(), outcome.contact.tolist()
         (clearance,) = outcome.clearance.tolist()
+        # with all keys, so that the copies of robots do not grow
+        common = statistics | {"merged_into": 0, "contact": False, "clearance": 0.0}
         removed, kind = self.scenario.on_merge == "remove", LastRobotInfo if over else RobotInfo
         returned: StepReturn = {}, {}, {}, {}, {}
         observations, rewards, ends, cuts, infos = returned
@@ -178,7 +180,7 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
             observations[name], rewards[name] = rows, reward
             ends[name] = ended = met or (removed and not on_its_own)
             cuts[name] = over and not ended
-            infos[name] = info = kind(statistics)  # then one by one: half as long as at once
+            infos[name] = info = kind(common)  # then one by one: half as long as at once
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
         for key, values in (simulator.costs | simulator.conditions).items():
             for name, told in infos.items():

@@ -52,6 +52,12 @@ def word_of(key, counter):
     return mix(key + np.uint64(counter + 1) * _INCREMENT)
 
 
+@inner_kernel(inline="code")
+def later_key(key, count):
+    """Key of a stream without its first words: its word k is word k + count of the stream."""
+    return key + np.uint64(count) * _INCREMENT
+
+
 @kernel
 def uniform(key, counter):
     """Number of a stream at an index, without unit, uniform in [0, 1): the upper 53 bits of

@@ -160,8 +160,9 @@ class ActivationRules(NamedTuple):
 
     kind: int
     stops: bool  # robots that are not active stand still, rather than keep their command
-    periods: NDArray[np.int64]  # (n,)
-    phases: NDArray[np.int64]  # (n,)
+    periods: NDArray[np.float64]  # (n,), whole numbers of steps
+    rates: NDArray[np.float64]  # (n,), their reciprocals
+    phases: NDArray[np.float64]  # (n,), steps
     probability: float
     max_wait: int
 
@@ -169,31 +170,41 @@ class ActivationRules(NamedTuple):
 def rules_of(activation: Activation, hold: str, n_robots: int) -> ActivationRules:
     """Constants for n robots."""
     periods, phases = activation._table(n_robots)
+    of_robots = np.array(periods[:n_robots], np.float64)
     return ActivationRules(
         kind=KINDS.index(activation.kind),
         stops=hold == "stop",
-        periods=np.array(periods[:n_robots]),
-        phases=np.array(phases[:n_robots]),
+        periods=of_robots,
+        rates=1.0 / of_robots,
+        phases=np.array(phases[:n_robots], np.float64),
         probability=float(activation.probability or 0.0),
         max_wait=int(activation.max_wait or 1),
     )
 
 
 @inner_kernel(inline="code")
-def is_scheduled(rules, key, step, waited, i):
-    """True if robot i must be active in a step, whatever it would gain.
-
-    ``waited`` is the number of steps since its last activation, or since the start; ``key`` that of
-    the episode's stream ACTIVATION.
-    """
+def is_scheduled(rules, step, i):
+    """True if robot i is active in a step by a clock without chance; ``step`` is a float."""
     if rules.kind == _PERIODIC:
-        return (step - rules.phases[i]) % rules.periods[i] == 0
-    if rules.kind == _RANDOM:
-        return uniform(key, step * len(rules.phases) + i) < rules.probability
-    return rules.kind == _SYNCHRONOUS or waited + 1 >= rules.max_wait
+        since = step - rules.phases[i]
+        # of integers exact, and faster than a remainder
+        return since == rules.periods[i] * math.floor(since * rules.rates[i] + 0.5)
+    return rules.kind == _SYNCHRONOUS
+
+
+@inner_kernel(inline="code")
+def is_drawn(rules, key, i):
+    """True if robot i is active by chance; ``key`` is that of the stream ACTIVATION in a step."""
+    return uniform(key, i) < rules.probability
+
+
+@inner_kernel(inline="code")
+def is_random(rules):
+    """True if robots are active by chance."""
+    return rules.kind == _RANDOM
 
 
 @inner_kernel(inline="code")
 def is_adversarial(rules):
-    """True if an adversary may activate a robot earlier than ``is_scheduled``."""
+    """True if an adversary activates robots, each at least once in ``max_wait`` steps."""
     return rules.kind == _BOUNDED

@@ -24,6 +24,9 @@ from ..physics.random_streams import EVENTS, stream_key, uniform
 CRASH, BLIND, SIGHTED, ADVERSARY = range(4)
 """Columns of the steps in which events begin or end."""
 NEVER = 2**62  # step of an event that does not happen
+DRAWS = 10
+"""Words of the stream ACTUATION for a robot in a step: slip, the bounded disturbance (3), the
+Gaussian one (4), the turn of its frame (2)."""
 _WANTED = {2: "a list of pairs [robot, time in s]", 3: "a list of [robot, start in s, end in s]"}
 
 
@@ -213,11 +216,13 @@ class EventRules(NamedTuple):
     """Constants of disturbances for kernels."""
 
     fails: bool
+    opposes: bool  # whether robots may be adversarial
+    draws: bool  # whether commands change by chance
     slip: float
     disturbance: float  # m/s
     noise: float  # m/s
     speed_limit: float  # m/s, of adversaries
-    drifts: NDArray[np.float64]  # (n,), rad per step
+    turns: NDArray[np.float64]  # (n, 2), cosine and sine of the drift of frames in a step
     walk: float  # rad, standard deviation of a step
 
 
@@ -234,13 +239,16 @@ class FaultRules(NamedTuple):
 def rules_of(scenario: Any) -> EventRules:
     """Constants of a scenario's disturbances."""
     events, tau = scenario.events, scenario.tau
+    drifts = np.broadcast_to(np.asarray(events.compass_drift) * tau, scenario.n_robots)
     return EventRules(
         fails=events.fails,
+        opposes="adversary" in events.kinds,
+        draws=events.slip + events.disturbance + events.disturbance_noise > 0.0,
         slip=events.slip,
         disturbance=events.disturbance,
         noise=events.disturbance_noise,
         speed_limit=float(scenario.speed_limit),
-        drifts=np.broadcast_to(np.asarray(events.compass_drift) * tau, scenario.n_robots).copy(),
+        turns=np.stack([np.cos(drifts), np.sin(drifts)], axis=-1),
         walk=events.compass_walk * math.sqrt(tau),
     )
 
@@ -264,18 +272,18 @@ def fault_rules(scenario: Any) -> FaultRules:
 
 @kernel
 def draw_faults(which, rules, seeds, episodes, faults):
-    """Write the steps of all events of new episodes, (B, n, 4), given and drawn.
+    """Write the steps of all events of new episodes, (B, 4, n), given and drawn.
 
     For each kind the robots with the lowest of n random numbers are drawn, of those that have no
     given event.
     """
-    n = faults.shape[1]
+    n = faults.shape[2]
     for place in range(len(which)):
         b = which[place]
         key = stream_key(seeds[b], episodes[b], EVENTS)
         for i in range(n):
             for column in range(4):
-                faults[b, i, column] = rules.given[i, column]
+                faults[b, column, i] = rules.given[i, column]
         _draw_kind(key, 0, rules.crashed, CRASH, rules, faults[b])
         _draw_kind(key, 1, rules.blind, BLIND, rules, faults[b])
         _draw_kind(key, 2, rules.adversarial, ADVERSARY, rules, faults[b])
@@ -284,7 +292,7 @@ def draw_faults(which, rules, seeds, episodes, faults):
 @inner_kernel
 def _draw_kind(key, kind, count, column, rules, faults):
     """Draw ``count`` robots for one kind of event, and their times."""
-    n = len(faults)
+    n = faults.shape[1]
     for i in range(n if count > 0 else 0):
         if rules.given[i, column] != NEVER:
             continue
@@ -296,41 +304,13 @@ def _draw_kind(key, kind, count, column, rules, faults):
         if rank < count:
             one = int(uniform(key, (kind * n + i) * 3 + 1) * rules.steps)
             two = int(uniform(key, (kind * n + i) * 3 + 2) * rules.steps)
-            faults[i, column] = min(one, two) if column == BLIND else one
+            faults[column, i] = min(one, two) if column == BLIND else one
             if column == BLIND:
-                faults[i, SIGHTED] = max(one, two) + 1
+                faults[SIGHTED, i] = max(one, two) + 1
 
 
-@inner_kernel
-def drawn_disturbance(rules, key, counter, axes):
-    """Velocity disturbance of a robot in a step, a pair or triple, m/s, in the global frame, from
-    eight numbers of a stream.
-    """
-    turn, x, y, z = 2.0 * math.pi, 0.0, 0.0, 0.0
-    if rules.disturbance > 0.0:
-        share, angle = uniform(key, counter), turn * uniform(key, counter + 1)
-        length, level = rules.disturbance * math.sqrt(share), 1.0
-        if len(axes) == 3:
-            height = 2.0 * share - 1.0
-            length = rules.disturbance * uniform(key, counter + 2) ** (1.0 / 3.0)
-            level, z = math.sqrt(max(1.0 - height * height, 0.0)), length * height
-        x, y = length * level * math.cos(angle), length * level * math.sin(angle)
-    if rules.noise > 0.0:
-        far = rules.noise * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 3)))
-        angle = turn * uniform(key, counter + 4)
-        x, y = x + far * math.cos(angle), y + far * math.sin(angle)
-        if len(axes) == 3:
-            far = rules.noise * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter + 5)))
-            z += far * math.cos(turn * uniform(key, counter + 6))
-    if len(axes) == 2:
-        return x, y
-    return x, y, z
-
-
-@inner_kernel
-def drawn_turn(rules, key, counter, i):
-    """Angle by which the frame of robot i turns in a step, rad, from two numbers of a stream."""
-    if rules.walk == 0.0:
-        return rules.drifts[i]
-    far = rules.walk * math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter)))
-    return rules.drifts[i] + far * math.cos(2.0 * math.pi * uniform(key, counter + 1))
+@inner_kernel(inline="code")
+def unit_pair(x, y):
+    """A pair of nearly unit length, made so by a Newton step: an error e becomes 3 e²/2."""
+    factor = 1.5 - 0.5 * (x * x + y * y)
+    return x * factor, y * factor

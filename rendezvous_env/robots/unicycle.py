@@ -29,6 +29,12 @@ def mean_cos_sin(angle, swept):
     With S = sin(x)/x and C = (1 − cos x)/x they are (S cos a − C sin a, S sin a + C cos a); C is
     written as sin²(x/2)/(x/2), which loses no digits as x → 0.
     """
+    return mean_direction((math.cos(angle), math.sin(angle)), swept)
+
+
+@kernel(inline="code")
+def mean_direction(heading, swept):
+    """``mean_cos_sin`` from a pair (cos a, sin a)."""
     half = 0.5 * swept
     if abs(half) < 1e-8:
         mean_sin, mean_cos = half, 1.0
@@ -36,7 +42,7 @@ def mean_cos_sin(angle, swept):
         sin_half = math.sin(half)
         mean_sin = sin_half * sin_half / half
         mean_cos = sin_half * math.cos(half) / half
-    c, s = math.cos(angle), math.sin(angle)
+    c, s = heading
     return mean_cos * c - mean_sin * s, mean_cos * s + mean_sin * c
 
 
@@ -48,8 +54,14 @@ def arc_2d(speed, yaw, yaw_rate, duration):
 
     The speed v, m/s, is negative backwards; yaw in rad, its rate in rad/s, duration in s.
     """
+    return arc_along((math.cos(yaw), math.sin(yaw)), speed, yaw_rate, duration)
+
+
+@kernel(inline="code")
+def arc_along(heading, speed, yaw_rate, duration):
+    """``arc_2d`` from a pair (cos θ, sin θ), as the frame of a robot has it."""
     distance = speed * duration
-    mean_cos, mean_sin = mean_cos_sin(yaw, yaw_rate * duration)
+    mean_cos, mean_sin = mean_direction(heading, yaw_rate * duration)
     return distance * mean_cos, distance * mean_sin
 
 
@@ -75,8 +87,8 @@ def propose_along_axis(model, action, frame, memory):
 
 @kernel
 def _displacement_at(model, action, frame, memory, time):
-    speed = clip(action[0], model.speed_limit)
-    return arc_2d(speed, memory[0], clip(action[1], model.turn_limit), time)
+    speed, turn_rate = clip(action[0], model.speed_limit), clip(action[1], model.turn_limit)
+    return arc_along((frame[0], frame[2]), speed, turn_rate, time)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Random rotations of bearings in float32, without branches, each from a word of 32 bits.
+"""Random numbers and rotations in float32, without branches, each from a word of 32 bits.
 
 Over the lanes of many environments they become SIMD. No library function is used, so that results
 are bitwise equal for one environment, many, and plain Python.
@@ -19,7 +19,10 @@ def _float32(*factors: float) -> tuple[np.float32, ...]:
 
 _STEP = np.uint64(0xD1B54A32D192ED03)
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1.0), np.float32(2.0)
-_ONE_BIT = np.uint32(1)
+_ONE_BIT, _EIGHT_BITS = np.uint32(1), np.uint32(8)
+_TO_UNIT_INTERVAL, _TURN = np.float32(2.0**-24), np.float32(2.0 * math.pi)
+_WITHIN = np.float32(1.0 - 2.0**-20)
+"""Factor that keeps a vector within its bound in spite of rounding."""
 _PER_MAGNITUDE = np.float32(2.0**-31)
 _TURN_PER_WORD = np.float32(2.0 * math.pi * 2.0**-32)
 _MANTISSA = np.int32(23)
@@ -56,6 +59,31 @@ _COSINE = _float32(4.166664568298827e-2, -1.388731625493765e-3, 2.44331571180994
 def step_key(key, step):
     """Key of the part of a stream that belongs to one step of the episode; uint64."""
     return mix(key ^ (np.uint64(step + 1) * _STEP))
+
+
+@kernel(inline="code")
+def unit_number(word):
+    """A number in [0, 1), float32, from a word, uint32."""
+    return np.float32(np.int32(word >> _EIGHT_BITS)) * _TO_UNIT_INTERVAL
+
+
+@kernel(inline="code")
+def drawn_within(radius, words, other, axes):
+    """Pair or triple, uniform in a disc or ball, in float32, from four or five uint32.
+
+    The largest of d uniform numbers u has the distribution of the length, P(r < x R) = xᵈ:
+
+        r = R max u,   v = r (cos α, sin α)   or   r (√(1 − h²) cos α, √(1 − h²) sin α, h)
+    """
+    one, two, three, four = words
+    length = radius * _WITHIN * max(unit_number(one), unit_number(two))
+    x, y = cosine_and_sine(_TURN * unit_number(four), False)
+    if len(axes) == 2:
+        return length * x, length * y
+    length = max(length, radius * _WITHIN * unit_number(three))
+    height = _TWO * unit_number(other) - _ONE
+    level = length * np.float32(math.sqrt(_ONE - height * height))
+    return level * x, level * y, length * height
 
 
 @kernel(inline="code")

@@ -19,8 +19,7 @@ from ..compilation import inner_kernel
 from ..physics.vectors import add, combine, cross, dot, norm, subtract, to_local, triple
 from .sensing import Sensing
 
-_TO_UNIT_INTERVAL = np.float32(2.0**-24)
-_EIGHT, _ZERO, _ONE = np.uint32(8), np.float32(0.0), np.float32(1.0)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _QUARTER, _HALF_TURN = np.float32(0.5 * math.pi), np.float32(math.pi)
 _ARCTAN = tuple(
     np.float32(factor)
@@ -94,12 +93,6 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
 def kept_share(time_constant: float, tau: float) -> float:
     """The share k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 without one."""
     return math.exp(-tau / time_constant) if time_constant > 0.0 else 0.0
-
-
-@inner_kernel(inline="code")
-def unit_number(word):
-    """A number in [0, 1), float32, from a word, uint32."""
-    return np.float32(np.int32(word >> _EIGHT)) * _TO_UNIT_INTERVAL
 
 
 @inner_kernel(inline="code")

@@ -41,9 +41,24 @@ def test_bare_kernel_computes_bearings_sums_and_step():
     np.testing.assert_allclose(moved, 1e-9 * g.sum(axis=2), atol=1e-15)
 
 
+LONG = {"features", "many-shapes"}
+"""Groups that compile and build more than others."""
+
+
+@pytest.mark.slow
+def test_bench_measures_clocks_failures_and_many_shapes(tmp_path):
+    rows, _ = measured(tmp_path, only=tuple(LONG))
+    ratios = {(row["group"], row["name"]): row["ratio"] for row in rows}
+    assert {group for group, _ in ratios} == LONG
+    named = [("features", "adversarial clocks"), ("features", "crash"), ("features", "mixed team")]
+    named += [("many-shapes", f"2,000 shapes, {rows}") for rows in ("all rows", "8 nearest")]
+    assert all(ratios[name] > 0 for name in named)
+    assert ratios["features", "none"] is ratios["many-shapes", "20 shapes, all rows"] is None
+
+
 def test_bench_measures_and_writes_all_rows(tmp_path):
-    rows, written = measured(tmp_path)
-    assert {row["group"] for row in rows} == set(GROUPS)
+    rows, written = measured(tmp_path, only=tuple({*GROUPS} - LONG))
+    assert {row["group"] for row in rows} == {*GROUPS} - LONG
     assert all(row["rate"] > 0 and len(row["rates"]) == 2 for row in rows)
     ratios = {(row["group"], row["name"]): row["ratio"] for row in rows}
     compared = [
@@ -74,7 +89,7 @@ def test_bench_rows_can_be_selected_without_learners(tmp_path, monkeypatch, caps
     monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
     [row], _ = measured(tmp_path, only=("one-team", "heading-ppo"))
     assert (row["group"], row["name"], row["ratio"]) == ("one-team", "PettingZoo", None)
-    assert "memory per team, n = 3" in capsys.readouterr().out
+    assert "memory per environment, n = 3" in capsys.readouterr().out
 
 
 def test_ratio_refers_to_named_case(monkeypatch):
@@ -92,6 +107,22 @@ def test_ratio_refers_to_named_case(monkeypatch):
         first, _, ours = measure(cases, Config(repeats=3, seconds=0.02))
     assert ours["ratio"] == pytest.approx(0.1) and ours["rate"] == pytest.approx(100.0)
     assert first["ratio"] is None
+
+
+def test_processor_time_is_measured_on_request(monkeypatch):
+    now = [0.0]
+
+    def step():
+        now[0] += 0.5
+
+    case = Case("busy", "g", 2, 1, 1, "steps", lambda: Running(step))
+    with monkeypatch.context() as patch:
+        patch.setattr("time.perf_counter", lambda: now[0] / 0.5)
+        patch.setattr("time.process_time", lambda: now[0])
+        [wall], [busy] = (
+            measure([case], Config(repeats=1, seconds=3.0, cpu_time=cpu)) for cpu in (False, True)
+        )
+    assert (wall["rate"], busy["rate"]) == (pytest.approx(1.0), pytest.approx(2.0))
 
 
 def test_merge_during_measurement_is_error():

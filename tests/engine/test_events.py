@@ -39,6 +39,7 @@ def eventful(**fields):
     return rv.Scenario(n_robots=N, events=events, **fields)
 
 
+@pytest.mark.kernels
 @BOTH
 @BATCHES
 def test_crashed_robot_stands_still_from_its_time_on(scenario, batch):
@@ -55,6 +56,7 @@ def test_crashed_robot_stands_still_from_its_time_on(scenario, batch):
     assert (crashed == ~moved).all()
 
 
+@pytest.mark.kernels
 @BATCHES
 def test_robot_that_merges_with_a_crashed_one_has_crashed(batch):
     places = ((0.0, 0.0), (1.0, 0.0), (50.0, 0.0), (0.0, 50.0), (50.0, 50.0))
@@ -88,6 +90,7 @@ def test_sensor_failure_hides_all_rows_in_its_time(scenario, batch):
         exact.step(given)
 
 
+@pytest.mark.kernels
 @BOTH
 def test_adversary_moves_at_full_speed_against_f(scenario):
     sim = apart(scenario, 3, events={"adversaries": [[0, 2 * TAU]]})
@@ -124,6 +127,7 @@ def test_drawn_failures_are_uniform_in_robots_and_times():
     assert (sim.get_state()["faults"] == again).all()
 
 
+@pytest.mark.kernels
 @BOTH
 def test_compass_drift_turns_frames_and_nothing_else(scenario):
     rates = [0.5, -1.0, 0.0, 2.0, 3.0]
@@ -181,6 +185,27 @@ def test_slip_and_disturbance_have_their_distributions(scenario, batch):
     noisy = moves(disturbance_noise=0.3) - np.eye(scenario.dim)[0]
     assert np.abs(noisy.std(axis=0) - 0.3).max() < 0.012
     assert np.abs(np.corrcoef(noisy.T) - np.eye(scenario.dim)).max() < 0.05
+
+
+@BOTH
+def test_disturbance_never_exceeds_its_bound_and_has_no_direction(scenario):
+    """The bound is a premise of theorem N2."""
+    bound, d = 0.3, scenario.dim
+    sim = apart(scenario, 400, events={"disturbance": bound})
+    found = []
+    for _ in range(50):
+        before = sim.positions
+        sim.step(np.zeros(actions_shape(sim)))
+        found.append((sim.positions - before) / TAU)
+    drawn = np.array(found).reshape(-1, d)
+    lengths = np.linalg.norm(drawn, axis=-1)
+    assert 0.999 * bound < lengths.max() <= bound
+    # E[v vᵀ] = w²/(d + 2) of the uniform ball, also conditioned on the robot and the step
+    moments = drawn.T @ drawn / len(drawn)
+    np.testing.assert_allclose(moments, np.eye(d) * bound**2 / (d + 2), atol=3e-4)
+    steps = np.array(found)
+    for first, second in ((steps[1:], steps[:-1]), (steps[:, :, 1:], steps[:, :, :-1])):
+        assert abs((first * second).mean()) < 3e-4
 
 
 @pytest.mark.parametrize("name", [*ALL])

@@ -24,7 +24,10 @@ from ..results import prepare_file, provenance, write_json
 from . import cases, learners
 from .cases import Case, Running, Size, spread_out
 
-GROUPS = tuple("one-team batched obstacles wrapped training sensing adapters heading-ppo".split())
+GROUPS = tuple(
+    "one-team batched obstacles wrapped training sensing features many-shapes adapters "
+    "heading-ppo".split()
+)
 _PEERS = ("stable-baselines3", "torch", "mpe2", "torchrl", "pufferlib-core")
 _SHOWN = ("group", "name", "n_robots", "num_envs", "unit", "against")
 _MOST_BEARINGS = 2**31
@@ -41,7 +44,7 @@ class Config(Flags):
     """File for the results as JSON."""
     only: tuple[str, ...] = ()
     """Groups of rows to measure: one-team, batched, obstacles, wrapped, training, sensing,
-    adapters, heading-ppo. Default: all."""
+    features, many-shapes, adapters, heading-ppo. Default: all."""
     robots: Annotated[tuple[int, ...], Bounds(2, 2**12)] = (3, 8, 32)
     """Numbers of robots per environment."""
     num_envs: Annotated[int, Bounds(1, 2**24)] = 1024
@@ -52,6 +55,8 @@ class Config(Flags):
     """Number of measurements per case; the median is reported. Cases alternate."""
     seconds: Annotated[float, Bounds(0, 3600, "(]")] = 0.3
     """Duration of a measurement, s."""
+    cpu_time: bool = False
+    """Measure the processor time of this process, which other processes disturb less."""
 
 
 Row = dict[str, Any]
@@ -105,6 +110,12 @@ def _compared(config: Config) -> Iterator[list[Case]]:
         "wrapped": (cases.wrapped(n, size) for n in robots),
         "training": (cases.training(*taught, size) for taught in _TAUGHT),
         "sensing": (cases.sensing(n, own) for n in robots for own in (None, size)),
+        "features": (cases.features(n, size) for n in robots),
+        "many-shapes": (
+            cases.many_shapes(count, slots, size)
+            for count in (1, min(64, size.num_envs))
+            for slots in (None, 8)
+        ),
         "adapters": learners.adapters(robots, size),
         "heading-ppo": [learners.heading_ppo(size)] if installed("stable_baselines3") else [],
     }
@@ -118,14 +129,15 @@ def measure(compared: Sequence[Case], config: Config) -> list[Row]:
         RuntimeError: if robots merged during the measurement.
     """
     running = [case.build() for case in compared]
+    clock = time.process_time if config.cpu_time else time.perf_counter
     counts = [_calibrate(each, config.seconds) for each in running]
     rates: dict[str, list[float]] = {case.name: [] for case in compared}
     for _ in range(config.repeats):
         for case, each, count in zip(compared, running, counts, strict=True):
-            begin = time.perf_counter()
+            begin = clock()
             for _ in range(count):
                 each.step()
-            rates[case.name].append(case.per_step * count / (time.perf_counter() - begin))
+            rates[case.name].append(case.per_step * count / (clock() - begin))
     for case, each in zip(compared, running, strict=True):
         if not each.intact():
             raise RuntimeError(f"{case.name}, n = {case.n_robots}: robots merged while timed")
@@ -184,6 +196,7 @@ def _content(
         "threads": config.num_threads or available_cores(),
         "repeats": config.repeats,
         "seconds": config.seconds,
+        "cpu_time": config.cpu_time,
         "bytes_per_team": {
             str(n): {"state": state, "observations": seen} for n, (state, seen) in sizes.items()
         },

@@ -19,6 +19,21 @@ from ..checks import installed
 EPISODE = 200
 """Episode length in the case with episode ends, steps."""
 _LANES = 64
+_FEATURES: dict[str, Mapping[str, Any]] = {
+    "periodic clocks": {"activation": "periodic"},
+    "random clocks": {"activation": "random"},
+    "adversarial clocks": {"activation": "bounded"},
+    "adversarial clocks, stop": {"activation": "bounded", "hold": "stop"},
+    "crash": {"events": {"crashes": [[0, 0.0]]}},
+    "sensor failure": {"events": {"sensor_failures": [[0, 0.0, 1e9]]}},
+    "adversary": {"events": {"adversaries": [[0, 0.0]]}},
+    "slip": {"events": {"slip": 0.2}},
+    "disturbance": {"events": {"disturbance": 0.1}},
+    "Gaussian disturbance": {"events": {"disturbance_noise": 0.1}},
+    "compass drift": {"events": {"compass_drift": 0.1}},
+    "compass walk": {"events": {"compass_walk": 0.1}},
+}
+"""Scenario fields of clocks and failures by the names of rows."""
 _SENSORS = {
     "exact sensor": rv.Sensing(),
     "noise": rv.Sensing(noise=0.1),
@@ -154,6 +169,55 @@ def sensing(n: int, size: Size | None) -> list[Case]:
 
     builds = {name: partial(build, sensor) for name, sensor in _SENSORS.items()}
     return in_turns("sensing", n, 1 if size is None else size.num_envs, builds)
+
+
+def features(n: int, size: Size) -> list[Case]:
+    """Batched steps with clocks, failures or a mixed team, relative to a scenario without them."""
+    models = ["unicycle" if robot % 2 else "single_integrator" for robot in range(n)]
+    speeds: dict[str, Any] = {"max_speed": [0.5 if robot % 2 else 1.0 for robot in range(n)]}
+    given: dict[str, Mapping[str, Any]] = {"none": {}, **_FEATURES, "two speeds": speeds}
+    given["mixed team"] = {"robot_model": models, **speeds}
+    builds = {
+        name: partial(_vector, spread_out(n, **fields), size) for name, fields in given.items()
+    }
+    return in_turns("features", n, size.num_envs, builds)
+
+
+def many_shapes(num_envs: int, slots: int | None, size: Size) -> list[Case]:
+    """Batched steps beside 2,000 boxes, relative to 20, with all rows or those of the nearest."""
+    own, chosen, rows = size._replace(num_envs=num_envs), {}, "all rows"
+    if slots is not None:
+        chosen = {"obstacle_slots": slots, "obstacle_overflow": "nearest"}
+        rows = f"{slots} nearest"
+    builds = {
+        f"{count:,} shapes, {rows}": partial(simulator_of, _among_boxes(count, **chosen), own)
+        for count in (20, 2000)
+    }
+    return in_turns("many-shapes", 4, num_envs, builds)
+
+
+def _among_boxes(count: int, **fields: Any) -> rv.Scenario:
+    """Scenario with random boxes of one density, and robots that move among them without merges."""
+    random, half = np.random.default_rng(0), 5.0 * math.sqrt(count / 20.0)
+    boxes = []
+    for _ in range(count):
+        (x, y), angle = random.uniform(-half, half, 2), random.uniform(0.0, math.pi)
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * random.uniform(0.1, 0.3, 2)
+        boxes.append(rv.Polygon(vertices=(corners @ turn.T + (x, y)).tolist()))
+    return rv.Scenario(
+        name=f"among-{count}-boxes",
+        n_robots=4,
+        obstacles=tuple(boxes),
+        graph=rv.graphs.complete(),
+        merge_radius=1e-6,
+        time_step=0.05,
+        max_speed=2.0,
+        allow_long_step=True,
+        spawn_size=10.0,
+        time_limit=1e9,
+        **fields,
+    )
 
 
 def tape_of(space: Any, *batch: int) -> Iterator[Any]:

@@ -10,8 +10,8 @@ from ...compilation import inner_kernel, kernel
 from ...graphs.edges import edge_weight, list_pairs, pair_index
 from ...physics.random_streams import word_of
 from ...physics.vectors import norm, scaled, subtract, to_local
-from ...sensors.chance import cosine_and_sine, gaussian, is_small, turned_by_angle
-from ...sensors.effects import as_float32, distance_of, share_in_view, turned_about, unit_number
+from ...sensors.chance import cosine_and_sine, gaussian, is_small, turned_by_angle, unit_number
+from ...sensors.effects import as_float32, distance_of, share_in_view, turned_about
 from ..memory import lane_count, load_fields, read_row, write_row
 from .apply_noise import DRAWS, draw_turns, halve, highest_word, keep, sensing_keys, turn_row
 from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, is_due, parities, part_keys

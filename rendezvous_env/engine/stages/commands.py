@@ -3,39 +3,89 @@
 Before ``propose_motion``: a robot that is active takes its action as its command, any other one
 keeps its command or stands still; then crashes, adversaries, slip and disturbances change the
 command. After the motion local frames turn, and robots with a failed sensor observe nothing.
-"""
 
-import math
+Loops over lanes are SIMD, apart from those that copy between lanes and arrays (B, n, …).
+"""
 
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.edges import load_links
+from ...graphs.edges import DENSE, load_links
 from ...physics.potential import net_bearings_of_links
-from ...physics.random_streams import ACTIVATION, ACTUATION, stream_key, uniform
-from ...physics.vectors import dot, to_local
-from ...robots.activation import is_adversarial, is_scheduled
-from ...robots.events import ADVERSARY, BLIND, CRASH, SIGHTED, drawn_disturbance, drawn_turn
+from ...physics.random_streams import ACTIVATION, ACTUATION, later_key, stream_key, uniform
+from ...physics.vectors import add, dot, exactly, norm, scaled, to_global, to_local
+from ...robots.activation import is_adversarial, is_drawn, is_random, is_scheduled
+from ...robots.events import (
+    ADVERSARY,
+    BLIND,
+    CRASH,
+    DRAWS,
+    SIGHTED,
+    unit_pair,
+)
 from ...robots.motion import constants_of_robot, propose
+from ...sensors.chance import cosine_and_sine, drawn_within, gaussian
 from ..memory import (
+    ACTIVE,
     RUNNING,
     STATUS,
     STEPS,
+    lane_count,
     load_fields,
     load_positions,
+    read,
+    read_row,
     sensed_step,
     store_fields,
+    write_row,
 )
+from .apply_noise import halve
 
-_NUMBERS = 10  # random numbers reserved for a robot in a step
-_CRASHED, _ADVERSE = 1, 2
-_ZERO = np.float32(0.0)
+_ZERO, _NONE, _ALL = np.float32(0.0), np.int32(0), np.int32(-1)
+_GAIN, _KEPT, _DUE = range(3)
+"""Working memory of ``take_commands`` in every lane: f_i · Δ_i of the action and of the command in
+execution, m²/s; 1 for a robot that is activated, else 0."""
+_CRASHED, _ADVERSE = range(2)
+"""Marks of a robot, 0 or 1, in the first fields of its motion, which is not yet in use."""
+
+
+@kernel
+def sum_bearings(
+    width, axes, entries, first, last, robots, links, vectors, listed, weights, nets, rows
+):
+    """Write f_i of every robot, in its own frame, m/s, (blocks, n, L·d) float32, from exact rows.
+
+    Of directed links f_i is that of the mean weights, along which V falls fastest. Working memory:
+    vectors (3, n, d), listed (2, E), weights (E,).
+    """
+    n = robots.shape[1]
+    for block in range(first, last):
+        if links.form != DENSE:
+            load_positions(robots[block], 0, 1, vectors[0])
+            found = load_links(links, block, 0, n, listed[0], listed[1], weights)
+            edges = listed[0, :found], listed[1, :found], weights[:found]
+            net_bearings_of_links(vectors[0], edges, vectors[1])
+        for i in range(n):
+            net = nets[block, i]
+            net[:] = _ZERO
+            for j in range(n - 1 if links.form == DENSE else 0):
+                _add_row(width, axes, rows[block - first, i, j], net)
+            if links.form != DENSE:
+                frame = load_fields(robots[block, i], len(axes), 0, 1, entries)
+                write_row(to_local(frame, load_fields(vectors[1, i], 0, 0, 1, axes)), net, 0)
+
+
+@inner_kernel(inline="code")
+def _add_row(width, axes, row, net):
+    """Add a row of observations to the sums, both (L·d,)."""
+    for k in range(lane_count(width) * len(axes)):
+        net[k] += row[k]
 
 
 @kernel
 def take_commands(
+    width,
     robot,
-    lanes,
     first,
     last,
     rules,
@@ -43,88 +93,138 @@ def take_commands(
     robots,
     merged_into,
     environments,
-    links,
+    nets,
     clocks,
-    vectors,
-    listed,
-    weights,
+    keys,
+    work,
+    moves,
     actions,
 ):
     """Write the commands of all robots of some blocks, from actions, (B, n, a), and those before.
 
-    ``clocks`` are the commands, (B, n, a); the step of each robot's last activation, (B, n), −1
-    before the first; and whether it is active in this step, (B, n). ``streams`` are the seeds and
-    episodes, (B,). Working memory: vectors (3, n, d), listed (2, E), weights (E,). To call it again
-    in the same step, with other actions, gives the same as to call it once.
+    ``clocks`` are the commands, (B, n, a); the step of each robot's last activation, (blocks, n,
+    L), −1 before the first, if an adversary uses it; and whether it is active in this step, (B, n).
+    ``streams`` are the seeds and episodes, (B,), and ``nets`` f_i of ``sum_bearings``. Working
+    memory: keys (2, L), work (3·L,), moves (n, (d + 1 + a)·L).
     """
-    (seeds, episodes), n = streams, robots.shape[1]
-    commands, last_step, activated = clocks
+    lanes, n, (commands, last_step, activated) = lane_count(width), robots.shape[1], clocks
     for block in range(first, last):
-        for lane in range(min(lanes, len(merged_into) - block * lanes)):
-            b, now = block * lanes + lane, environments[block]
-            running = now[STATUS * lanes + lane] == RUNNING
-            if running and is_adversarial(rules):
-                _find_net_bearings(links, robots, block, lane, lanes, vectors, listed, weights)
-            step = int(now[STEPS * lanes + lane])
-            key = stream_key(seeds[b], episodes[b], ACTIVATION)
-            for i in range(n):
-                activated[b, i] = False
-                if not running or merged_into[b, i] != i:
-                    continue
-                command, action, before = commands[b, i], actions[b, i], last_step[b, i]
-                due = is_scheduled(rules, key, step, step - before - 1, i) or before == step
-                if is_adversarial(rules) and not due:
-                    state, net_bearing = robots[block, i], vectors[1, i]
-                    gain = _work(robot, i, lanes, lane, state, action, net_bearing)
-                    kept = 0.0
-                    if not rules.stops:
-                        kept = _work(robot, i, lanes, lane, state, command, net_bearing)
-                    due = gain < kept
-                # selection instead of a branch, which random activation would mispredict
-                activated[b, i], last_step[b, i] = due, step if due else before
-                for k in range(len(robot.inputs)):
-                    other = _ZERO if rules.stops else command[k]
-                    command[k] = action[k] if due else other
+        environment, start = environments[block], block * lanes
+        count = min(lanes, len(merged_into) - start)
+        if is_random(rules):
+            _find_keys(width, start, count, ACTIVATION, n, streams, environment, keys[0])
+        for i in range(n):
+            _schedule(width, rules, i, environment, keys[0], work)
+            if is_adversarial(rules):
+                state, move, net = robots[block, i], moves[i], nets[block, i]
+                if not rules.stops:
+                    _load_commands(width, robot, i, start, count, commands, move)
+                    _weigh(width, robot, i, state, net, move, _KEPT, work)
+                _load_commands(width, robot, i, start, count, actions, move)
+                _weigh(width, robot, i, state, net, move, _GAIN, work)
+                _choose(width, rules, environment, last_step[block, i], work)
+            for lane in range(count):
+                activated[start + lane, i] = work[_DUE * lanes + lane] > 0.0
+        _leave_out(width, n, start, count, environment, merged_into, activated)
+    begin, end = first * lanes, min(last * lanes, len(merged_into))
+    _select(robot, rules.stops, begin, end, activated, actions, commands)
+
+
+@inner_kernel(inline="code")
+def _find_keys(width, start, count, purpose, words, streams, environment, keys):
+    """Keys of the streams for one purpose, from the current step on, of so many words a step."""
+    lanes, (seeds, episodes) = lane_count(width), streams
+    for lane in range(count):
+        key = stream_key(seeds[start + lane], episodes[start + lane], purpose)
+        keys[lane] = later_key(key, int(environment[STEPS * lanes + lane]) * words)
+
+
+@inner_kernel(inline="code")
+def _schedule(width, rules, i, environment, keys, work):
+    """Mark the lanes in which robot i is active by its own clock."""
+    lanes = lane_count(width)
+    if is_random(rules):
+        for lane in range(lanes):
+            work[_DUE * lanes + lane] = is_drawn(rules, keys[lane], i)
+    elif not is_adversarial(rules):
+        for lane in range(lanes):
+            work[_DUE * lanes + lane] = is_scheduled(rules, environment[STEPS * lanes + lane], i)
+
+
+@inner_kernel(inline="code")
+def _load_commands(width, robot, i, start, count, commands, move):
+    """Copy the commands of robot i, (B, n, a), to the action of its motion."""
+    lanes, d = lane_count(width), len(robot.axes)
+    for k in range(len(robot.inputs)):
+        for lane in range(count):
+            move[(d + 1 + k) * lanes + lane] = commands[start + lane, i, k]
+
+
+@inner_kernel(inline="code")
+def _weigh(width, robot, i, state, net, move, field, work):
+    """f_i · Δ_i of the action of a motion, m²/s: half of the rate at which it lowers V."""
+    lanes, d = lane_count(width), len(robot.axes)
+    model = constants_of_robot(robot.model, robot.limits, i)
+    for lane in range(lanes):
+        frame = load_fields(state, d, lane, lanes, robot.entries)
+        action = load_fields(move, d + 1, lane, lanes, robot.inputs)
+        memory = load_fields(state, d + d * d, lane, lanes, robot.memories)
+        moved, _ = propose(model, action, frame, memory)
+        own = to_global(frame, exactly(read_row(net, lane, robot.axes)))
+        work[field * lanes + lane] = dot(moved, own)
+
+
+@inner_kernel(inline="code")
+def _choose(width, rules, environment, last_step, work):
+    """Mark the lanes in which an adversary activates a robot, or has to.
+
+    A robot that was activated in this step stays so if the stage is repeated.
+    """
+    lanes = lane_count(width)
+    for lane in range(lanes):
+        step, before = int(environment[STEPS * lanes + lane]), last_step[lane]
+        forced = (step - before >= rules.max_wait) | (step == before)
+        kept = 0.0 if rules.stops else work[_KEPT * lanes + lane]
+        due = forced | (work[_GAIN * lanes + lane] < kept)
+        due &= environment[STATUS * lanes + lane] == RUNNING
+        work[_DUE * lanes + lane] = 1.0 if due else 0.0
+        last_step[lane] = step if due else before
 
 
 @inner_kernel
-def _find_net_bearings(links, robots, block, lane, lanes, vectors, listed, weights):
-    """Write f_i of every robot of one environment to vectors[1], m/s, in the global frame."""
-    load_positions(robots[block], lane, lanes, vectors[0])
-    found = load_links(links, block, lane, robots.shape[1], listed[0], listed[1], weights)
-    edges = listed[0, :found], listed[1, :found], weights[:found]
-    net_bearings_of_links(vectors[0], edges, vectors[1])
+def _leave_out(width, n, start, count, environment, merged_into, activated):
+    """No activation of merged robots and in environments that are not running."""
+    lanes = lane_count(width)
+    for lane in range(count):
+        running = environment[STATUS * lanes + lane] == RUNNING
+        if running and environment[ACTIVE * lanes + lane] == n:
+            continue
+        for i in range(n):
+            activated[start + lane, i] &= running and merged_into[start + lane, i] == i
 
 
-@inner_kernel(inline="code")
-def _work(robot, i, lanes, lane, state, action, net_bearing):
-    """f_i · Δ_i of an action, m²/s: half of the rate at which it lowers V."""
-    d, given = len(robot.axes), action
-    moved, _ = propose(
-        constants_of_robot(robot.model, robot.limits, i),
-        _as_tuple(given, robot.inputs),
-        load_fields(state, d, lane, lanes, robot.entries),
-        load_fields(state, d + d * d, lane, lanes, robot.memories),
-    )
-    return dot(moved, _as_tuple(net_bearing, robot.axes))
+@inner_kernel
+def _select(robot, stops, begin, end, activated, actions, commands):
+    """Write the commands of environments: actions of active robots, of others those before, or 0.
 
-
-@inner_kernel(inline="code")
-def _as_tuple(values, parts):
-    """An array as a tuple, as long as ``parts``."""
-    if len(parts) == 1:
-        return (values[0],)
-    if len(parts) == 2:
-        return values[0], values[1]
-    if len(parts) == 3:
-        return values[0], values[1], values[2]
-    return values[0], values[1], values[2], values[3]
+    One loop over all robots becomes SIMD by masks of bits; a selection would become a branch, which
+    random activation mispredicts.
+    """
+    a, others = len(robot.inputs), _NONE if stops else _ALL
+    due = activated[begin:end].reshape(-1).view(np.int8)
+    new = actions[begin:end].reshape(-1).view(np.int32)
+    kept = commands[begin:end].reshape(-1).view(np.int32)
+    for p in range(len(due)):
+        mask = -np.int32(due[p])
+        for k in range(a):
+            other = kept[a * p + k] & others
+            kept[a * p + k] = other ^ ((other ^ new[a * p + k]) & mask)
 
 
 @kernel
 def disturb_commands(
+    width,
     robot,
-    lanes,
     first,
     last,
     rules,
@@ -132,107 +232,189 @@ def disturb_commands(
     robots,
     merged_into,
     environments,
-    links,
+    nets,
     faults,
     executed,
-    vectors,
-    listed,
-    weights,
-    marks,
+    keys,
+    words,
+    work,
+    moves,
     commands,
 ):
     """Write the commands that are executed after failures and disturbances, both (B, n, a).
 
-    ``faults`` are steps of events, (B, n, 4), and ``streams`` the seeds and episodes, (B,). Working
-    memory as in ``take_commands``, and marks (n,).
+    ``faults`` are steps of events, (B, 4, n), ``streams`` the seeds and episodes, (B,), and
+    ``nets`` f_i of ``sum_bearings``. Working memory: keys (2, L), words (6, L), work (d·L,),
+    moves (n, (d + 1 + a)·L).
     """
-    (seeds, episodes), n = streams, robots.shape[1]
+    lanes, n = lane_count(width), robots.shape[1]
     for block in range(first, last):
-        for lane in range(min(lanes, len(merged_into) - block * lanes)):
-            b, now = block * lanes + lane, environments[block]
-            running, step = now[STATUS * lanes + lane] == RUNNING, int(now[STEPS * lanes + lane])
-            adverse = running and rules.fails
-            if adverse:
-                adverse = _mark_faults(faults[b], merged_into[b], step, marks)
-            if adverse:
-                _find_net_bearings(links, robots, block, lane, lanes, vectors, listed, weights)
-            key = stream_key(seeds[b], episodes[b], ACTUATION)
+        environment, start = environments[block], block * lanes
+        count = min(lanes, len(merged_into) - start)
+        if rules.draws:
+            _find_keys(width, start, count, ACTUATION, n * DRAWS, streams, environment, keys[0])
+        if rules.fails:
+            _mark_faults(width, rules, start, count, faults, merged_into, environment, moves)
+        for i in range(n):
+            state, move = robots[block, i], moves[i]
+            _find_shares(width, robot, rules, i * DRAWS, keys[0], move)
+            _disturb(width, robot, rules, i * DRAWS, keys[0], words, state, work, move)
+            if rules.opposes:
+                _oppose(width, robot, rules, nets[block, i], move)
+            _execute(width, robot, i, start, count, commands, move, executed)
+
+
+@inner_kernel(inline="code")
+def _execute(width, robot, i, start, count, commands, move, executed):
+    """Write the share of its command that robot i executes, and its velocity besides."""
+    lanes, d = lane_count(width), len(robot.axes)
+    for k in range(len(robot.inputs)):
+        for lane in range(count):
+            own = commands[start + lane, i, k] * move[d * lanes + lane]
+            executed[start + lane, i, k] = own + move[(d + 1 + k) * lanes + lane]
+
+
+@inner_kernel(inline="code")
+def _mark_faults(width, rules, start, count, faults, merged_into, environment, moves):
+    """Mark the robots that have crashed or are adversarial, which merged ones pass on."""
+    lanes, n = lane_count(width), len(moves)
+    for i in range(n):
+        for lane in range(count):
+            step = int(environment[STEPS * lanes + lane])
+            moves[i, _CRASHED * lanes + lane] = faults[start + lane, CRASH, i] <= step
+            if rules.opposes:
+                moves[i, _ADVERSE * lanes + lane] = faults[start + lane, ADVERSARY, i] <= step
+    for lane in range(count):
+        if environment[ACTIVE * lanes + lane] < n:
             for i in range(n):
-                command, own = commands[b, i], executed[b, i]
-                mark = marks[i] if running and rules.fails else 0
-                counter = (step * n + i) * _NUMBERS
-                share = 1.0 - rules.slip * uniform(key, counter) if rules.slip > 0.0 else 1.0
-                if not running or mark & _CRASHED:
-                    share = 0.0
-                for k in range(len(own)):
-                    own[k] = command[k] * share
-                if not running or mark & _CRASHED or merged_into[b, i] != i:
-                    continue
-                frame = load_fields(robots[block, i], len(robot.axes), lane, lanes, robot.entries)
-                if mark & _ADVERSE:
-                    away = _as_tuple(vectors[1, i], robot.axes)
-                    length = math.sqrt(dot(away, away))
-                    speed = -rules.speed_limit / length if length > 0.0 else 0.0
-                    for k in range(len(own)):
-                        own[k] = 0.0
-                    _add(own, to_local(frame, away), speed)
-                elif rules.disturbance > 0.0 or rules.noise > 0.0:
-                    drawn = drawn_disturbance(rules, key, counter + 1, robot.axes)
-                    _add(own, to_local(frame, drawn), 1.0)
+                into = merged_into[start + lane, i]
+                for k in range(_CRASHED * lanes + lane, (_ADVERSE + 1) * lanes, lanes):
+                    moves[into, k] = max(moves[into, k], moves[i, k])
 
 
-@inner_kernel
-def _mark_faults(faults, into, step, marks):
-    """Mark the robots that have crashed or are adversarial, which merged ones pass on.
+@inner_kernel(inline="code")
+def _find_shares(width, robot, rules, counter, keys, move):
+    """Write the share of its command that a robot executes to the place of the path length.
 
-    Returns whether any robot is adversarial.
+    Slip reduces it, and it is 0 after a crash. Its velocity besides, in the place of the action, is
+    0 so far.
     """
-    found = False
-    for i in range(len(marks)):
-        marks[i] = 0
-    for i in range(len(marks)):
-        if faults[i, CRASH] <= step:
-            marks[into[i]] |= _CRASHED
-        if faults[i, ADVERSARY] <= step:
-            marks[into[i]] |= _ADVERSE
-            found = True
-    return found
+    lanes, d = lane_count(width), len(robot.axes)
+    move[d * lanes : (d + 1) * lanes] = 1.0
+    move[(d + 1) * lanes :] = 0.0
+    if rules.slip > 0.0:
+        for lane in range(lanes):
+            move[d * lanes + lane] = 1.0 - rules.slip * uniform(keys[lane], counter)
+    if rules.fails:
+        for lane in range(lanes):
+            move[d * lanes + lane] *= 1.0 - move[_CRASHED * lanes + lane]
 
 
-@inner_kernel
-def _add(row, values, factor):
-    """Add a multiple of a pair or triple to the first entries of a row."""
-    row[0] += factor * values[0]
-    row[1] += factor * values[1]
-    if len(values) == 3:
-        row[2] += factor * values[2]
+@inner_kernel(inline="code")
+def _disturb(width, robot, rules, counter, keys, words, state, work, move):
+    """Add velocity disturbances, unless the robot has crashed."""
+    lanes, d = lane_count(width), len(robot.axes)
+    if rules.disturbance > 0.0:
+        radius = np.float32(rules.disturbance)
+        for k in range(3 if d == 3 else 2):
+            halve(width, keys, counter + 1 + k, words[2 * k], words[2 * k + 1])
+        for lane in range(lanes):
+            four = read(words, lane, (0, 1, 2, 3))
+            drawn = drawn_within(radius, four, words[4, lane], robot.axes)
+            store_fields(exactly(drawn), work, 0, lane, lanes)
+        _add_velocity(width, robot, rules, state, work, move)
+    if rules.noise > 0.0:
+        noise = np.float32(rules.noise)
+        for k in range(0, d, 2):
+            halve(width, keys, counter + 4 + k // 2, words[k], words[k + 1])
+        for k in range(d):
+            for lane in range(lanes):
+                work[k * lanes + lane] = noise * gaussian(words[k, lane])
+        _add_velocity(width, robot, rules, state, work, move)
+
+
+@inner_kernel(inline="code")
+def _add_velocity(width, robot, rules, state, work, move):
+    """Add velocities in the global frame, m/s, to those of a robot, unless it has crashed."""
+    lanes, d = lane_count(width), len(robot.axes)
+    for lane in range(lanes):
+        frame = load_fields(state, d, lane, lanes, robot.entries)
+        own = to_local(frame, load_fields(work, 0, lane, lanes, robot.axes))
+        works = 1.0 - move[_CRASHED * lanes + lane] if rules.fails else 1.0
+        so_far = load_fields(move, d + 1, lane, lanes, robot.axes)
+        store_fields(add(so_far, works, own), move, d + 1, lane, lanes)
+
+
+@inner_kernel(inline="code")
+def _oppose(width, robot, rules, net, move):
+    """Velocity −f_i/‖f_i‖ at full speed, instead of its command, of an adversarial robot."""
+    lanes, d = lane_count(width), len(robot.axes)
+    for lane in range(lanes):
+        away = exactly(read_row(net, lane, robot.axes))
+        length = norm(away)
+        own = scaled(away, -rules.speed_limit / length if length > 0.0 else 0.0)
+        opposes = move[_ADVERSE * lanes + lane] * (1.0 - move[_CRASHED * lanes + lane])
+        move[d * lanes + lane] *= 1.0 - opposes
+        so_far = scaled(load_fields(move, d + 1, lane, lanes, robot.axes), 1.0 - opposes)
+        store_fields(add(so_far, opposes, own), move, d + 1, lane, lanes)
 
 
 @kernel
-def turn_frames(axes, entries, lanes, first, last, rules, streams, environments, robots):
-    """Turn the local frames of all robots of running environments about the vertical."""
-    (seeds, episodes), d = streams, len(axes)
+def turn_frames(
+    width, axes, entries, first, last, rules, streams, environments, keys, words, work, robots
+):
+    """Turn the local frames of all robots of running environments about the vertical.
+
+    Working memory: keys (2, L), words (2, L), work (2·L,).
+    """
+    lanes, n = lane_count(width), robots.shape[1]
     for block in range(first, last):
-        for lane in range(min(lanes, len(seeds) - block * lanes)):
-            now, b = environments[block], block * lanes + lane
-            if now[STATUS * lanes + lane] != RUNNING:
-                continue
-            key, step = stream_key(seeds[b], episodes[b], ACTUATION), int(now[STEPS * lanes + lane])
-            for i in range(robots.shape[1]):
-                counter = (step * robots.shape[1] + i) * _NUMBERS + 8
-                angle = drawn_turn(rules, key, counter, i)
-                frame = load_fields(robots[block, i], d, lane, lanes, entries)
-                store_fields(_turned(frame, angle), robots[block, i], d, lane, lanes)
+        environment, start = environments[block], block * lanes
+        if rules.walk > 0.0:
+            count = min(lanes, len(streams[0]) - start)
+            _find_keys(width, start, count, ACTUATION, n * DRAWS, streams, environment, keys[0])
+        for i in range(n):
+            turn, state = (rules.turns[i, 0], rules.turns[i, 1]), robots[block, i]
+            if rules.walk > 0.0:
+                _draw_turns(width, np.float32(rules.walk), i * DRAWS + 8, keys[0], words, work)
+                _turn_by(width, axes, entries, turn, True, work, environment, state)
+            else:
+                _turn_by(width, axes, entries, turn, False, work, environment, state)
 
 
 @inner_kernel
-def _turned(frame, angle):
-    """R_z(angle) R of a rotation R, row by row, 4 or 9 numbers."""
-    c, s = math.cos(angle), math.sin(angle)
+def _draw_turns(width, walk, counter, keys, words, work):
+    """Cosine and sine of Gaussian angles of a standard deviation, rad, in every lane."""
+    lanes = lane_count(width)
+    halve(width, keys, counter, words[0], words[1])
+    for lane in range(lanes):
+        work[lane] = walk * gaussian(words[0, lane])
+    for lane in range(lanes):
+        c, s = cosine_and_sine(np.float32(work[lane]), False)
+        work[lane], work[lanes + lane] = unit_pair(np.float64(c), np.float64(s))
+
+
+@inner_kernel(inline="code")
+def _turn_by(width, axes, entries, turn, draws, work, environment, robot):
+    """Turn the frame of a robot by its constant turn, a cosine and a sine, and by drawn ones."""
+    lanes, d = lane_count(width), len(axes)
+    for lane in range(lanes):
+        running = environment[STATUS * lanes + lane] == RUNNING
+        c, s = (turn[0] if running else 1.0), (turn[1] if running else 0.0)
+        if draws:
+            x = work[lane] if running else 1.0
+            y = work[lanes + lane] if running else 0.0
+            c, s = c * x - s * y, s * x + c * y
+        frame = load_fields(robot, d, lane, lanes, entries)
+        store_fields(_turned(frame, c, s), robot, d, lane, lanes)
+
+
+@inner_kernel(inline="code")
+def _turned(frame, c, s):
+    """R_z R of a rotation R, row by row, 4 or 9 numbers, by the cosine and sine of R_z."""
     if len(frame) == 4:
-        x, y = c * frame[0] - s * frame[2], s * frame[0] + c * frame[2]
-        length = math.sqrt(x * x + y * y)  # else rounding adds up over many steps
-        x, y = x / length, y / length
+        # one row, of unit length, else rounding adds up over many steps
+        x, y = unit_pair(c * frame[0] - s * frame[2], s * frame[0] + c * frame[2])
         return x, -y, y, x
     first, second = frame[:3], frame[3:6]
     return (
@@ -254,9 +436,37 @@ def hide_from_blind(lanes, first, last, moves, sensed, environments, faults, obs
     for block in range(first, last):
         for lane in range(min(lanes, len(faults) - block * lanes)):
             b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
-            for i in range(faults.shape[1]):
-                if faults[b, i, BLIND] <= step and step < faults[b, i, SIGHTED]:
+            for i in range(faults.shape[2]):
+                if faults[b, BLIND, i] <= step and step < faults[b, SIGHTED, i]:
                     rows = observations[b, i]
                     for row in range(sensed):
                         for k in range(rows.shape[1]):
                             rows[row, k] = 0.0
+
+
+@kernel
+def find_conditions(steps, merged_into, faults, crashed, adversarial, blind):
+    """Mark the robots that have crashed, are adversarial, and are blind, (B, n) each.
+
+    ``steps`` are those of the episodes, (B,). Arrays (B, 0) are left out.
+    """
+    for b in range(len(steps)):
+        step, into, rows = int(steps[b]), merged_into[b], faults[b]
+        for i in range(blind.shape[1]):
+            fails = (rows[BLIND, i] <= step) & (step < rows[SIGHTED, i])
+            blind[b, i] = fails & (into[i] == i)
+        if crashed.shape[1] > 0:
+            _pass_on(step, into, rows[CRASH], crashed[b])
+        if adversarial.shape[1] > 0:
+            _pass_on(step, into, rows[ADVERSARY], adversarial[b])
+
+
+@inner_kernel
+def _pass_on(step, into, since, failed):
+    """Mark the robots of one environment with an event before a step, which merged ones pass on."""
+    merged = 0
+    for i in range(len(into)):
+        failed[i] = (since[i] < step) & (into[i] == i)
+        merged += into[i] != i
+    for i in range(len(into) if merged > 0 else 0):
+        failed[into[i]] |= since[i] < step

@@ -1,6 +1,7 @@
 """Last stage: reward, rendezvous, time limit, and the output of the step."""
 
 from ...compilation import inner_kernel, kernel
+from ...outcome import SCORES
 from ...rewards.terms import team_reward
 from ..memory import (
     ACTIVE,
@@ -61,11 +62,7 @@ def conclude_step(
         environment, start = environments[block], block * lanes
         end = min(start + lanes, len(merged_into))
         _conclude(width, duration, max_steps, reward_weights, environment)
-        for row in range(scores.shape[0]):
-            # slices, since ``start + lane`` might be negative for the compiler: no SIMD
-            score, field = scores[row, start:end], (REWARD + row) * lanes
-            for lane in range(len(score)):
-                score[lane] = environment[field + lane]
+        _write_scores(width, start, end, environment, scores)
         codes, touched, earned = status[start:end], contacts[start:end], robot_rewards[start:end]
         for lane in range(len(codes)):
             codes[lane] = int(environment[STATUS * lanes + lane])
@@ -73,15 +70,44 @@ def conclude_step(
         for i in range(n):
             for lane in range(len(earned)):
                 earned[lane, i] = environment[REWARD * lanes + lane]
-        for lane in range(end - start):
-            b = start + lane
-            if environment[ACTIVE * lanes + lane] < n:  # robots that are active and earn
-                merged = environment[PROXIMITY * lanes + lane] == MERGED
-                for i in range(n):
-                    active[b, i] = merged_into[b, i] == i
-                    earns = active[b, i] or (merged and took_part[b, i])
-                    if not (all_earn or earns):
-                        robot_rewards[b, i] = 0.0
+        merged = 0
+        for lane in range(lanes):
+            merged += environment[ACTIVE * lanes + lane] < n
+        if merged > 0:
+            given = merged_into, took_part, active, robot_rewards
+            _leave_out_merged(width, start, end, all_earn, environment, *given)
+
+
+@inner_kernel(inline="code")
+def _write_scores(width, start, end, environment, scores):
+    """Copy the fields of ``scores``, (SCORES, B); faster for all lanes, a constant number."""
+    lanes = lane_count(width)
+    for row in range(SCORES):
+        # slices, since ``start + lane`` might be negative for the compiler: no SIMD
+        score, field = scores[row, start:end], (REWARD + row) * lanes
+        if len(score) == lanes:
+            for lane in range(lanes):
+                score[lane] = environment[field + lane]
+        else:
+            for lane in range(len(score)):
+                score[lane] = environment[field + lane]
+
+
+@inner_kernel
+def _leave_out_merged(
+    width, start, end, all_earn, environment, merged_into, took_part, active, robot_rewards
+):
+    """Mark merged robots as inactive; they earn a reward in the step of their merge, or always."""
+    lanes, n = lane_count(width), merged_into.shape[1]
+    for lane in range(end - start):
+        b = start + lane
+        if environment[ACTIVE * lanes + lane] < n:
+            merges = environment[PROXIMITY * lanes + lane] == MERGED
+            for i in range(n):
+                active[b, i] = merged_into[b, i] == i
+                earns = active[b, i] or (merges and took_part[b, i])
+                if not (all_earn or earns):
+                    robot_rewards[b, i] = 0.0
 
 
 @inner_kernel(inline="code")

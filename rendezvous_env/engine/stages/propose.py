@@ -59,14 +59,14 @@ def propose_motion(
                     row[(d + 1 + k) * lanes + lane] = values[lane]
         for i in range(n):
             _propose_robot(width, robot, i, robots[block, i], move[i])
-        _hold_still(move, count, lanes, start, environment, merged_into)
+        _hold_still(width, move, count, start, environment, merged_into)
         near += _begin_step(width, reach, environment)
     return near
 
 
 @inner_kernel(inline="code")
 def _propose_robot(width, robot, i, state, move):
-    """Propose the motion of robot i in every lane."""
+    """Propose the motion of robot i in every lane, from the action in its fields."""
     lanes, d = lane_count(width), len(robot.axes)
     model = constants_of_robot(robot.model, robot.limits, i)
     for lane in range(lanes):
@@ -81,13 +81,16 @@ def _propose_robot(width, robot, i, state, move):
 
 
 @inner_kernel
-def _hold_still(move, count, lanes, start, environment, merged_into):
+def _hold_still(width, move, count, start, environment, merged_into):
     """Zero the motion and action of robots that do not move.
 
     These are merged robots, and all robots of an environment that is not running.
     """
-    n = move.shape[0]
-    for lane in range(count):
+    lanes, n, moving = lane_count(width), move.shape[0], 0
+    for lane in range(lanes):
+        running = environment[STATUS * lanes + lane] == RUNNING
+        moving += running & (environment[ACTIVE * lanes + lane] == n)
+    for lane in range(count if moving < lanes else 0):
         running = environment[STATUS * lanes + lane] == RUNNING
         if running and environment[ACTIVE * lanes + lane] == n:
             continue

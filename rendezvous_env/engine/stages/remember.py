@@ -10,8 +10,7 @@ import numpy as np
 
 from ...compilation import inner_kernel, kernel
 from ...physics.random_streams import SENSING, mix, stream_key
-from ...sensors.chance import gaussian, step_key
-from ...sensors.effects import unit_number
+from ...sensors.chance import gaussian, step_key, unit_number
 from ..memory import lane_count, sensed_step
 from .apply_noise import halve
 

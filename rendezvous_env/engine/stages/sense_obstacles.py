@@ -27,7 +27,7 @@ from ..memory import (
     write_row,
 )
 
-_FRAME = (0, 1, 2, 3)
+_FRAME, _ZERO = (0, 1, 2, 3), np.float32(0.0)
 _LEFT, _RIGHT, _NEAREST, _REACH = 0, 2, 4, 5
 """Fields of a disc's observation in every lane, (6·L,): bearings of the counterclockwise and the
 clockwise edge, zero if not visible; distance to the nearest disc so far, m; sensing range, m,
@@ -207,8 +207,9 @@ def sense_indexed(
         world = obstacles_of(obstacles, b)
         for i in range(robots.shape[1]):
             row, nearest = rows[b - first, i], np.inf
-            for k in range(own, own + 2 * slots):
-                row[k, 0], row[k, 1] = np.float32(0.0), np.float32(0.0)
+            numbers = row[own : own + 2 * slots].reshape(-1)
+            for k in range(len(numbers)):  # one loop, which becomes SIMD
+                numbers[k] = _ZERO
             if merged_into[b, i] == i:
                 point = load_point(robots[b, i], 0, 0, 1, 2)
                 nearest, count = _find_near(world, index, b, point, reach, slots, listed, distances)

@@ -23,14 +23,30 @@ def _copy_rows(width, parts, first, last, rows, observations):
     lanes, n_rows = lane_count(width), rows.shape[1] * rows.shape[2]
     source = rows.reshape(rows.shape[0], n_rows, rows.shape[3])
     target = observations.reshape(observations.shape[0], n_rows * parts)
-    together = 4 if n_rows < _MANY_ROWS else 32
     for block in range(first, last):
         start = block * lanes
         some = target[start : start + lanes]
-        if together == 4:
-            _copy_together(source[block - first], some, parts, 4)
+        if n_rows < _MANY_ROWS:
+            _copy_four(source[block - first], some, parts)
         else:
             _copy_together(source[block - first], some, parts, 32)
+
+
+@inner_kernel(inline="code")
+def _copy_four(source, target, parts):
+    """Copy four adjacent rows of a lane at a time, written out, and the remaining ones."""
+    whole = len(source) - len(source) % 4
+    for k in range(0, whole, 4):
+        one, two, three, four = source[k], source[k + 1], source[k + 2], source[k + 3]
+        for lane in range(len(target)):
+            out = target[lane]
+            for part in range(parts):
+                own = lane * parts + part
+                out[k * parts + part] = one[own]
+                out[(k + 1) * parts + part] = two[own]
+                out[(k + 2) * parts + part] = three[own]
+                out[(k + 3) * parts + part] = four[own]
+    _copy_singly(whole, source, target, parts)
 
 
 @inner_kernel(inline="code")
@@ -42,7 +58,13 @@ def _copy_together(source, target, parts, count):
             for row in range(k, k + count):
                 for part in range(parts):
                     target[lane, row * parts + part] = source[row, lane * parts + part]
-    for row in range(whole, len(source)):
+    _copy_singly(whole, source, target, parts)
+
+
+@inner_kernel(inline="code")
+def _copy_singly(first, source, target, parts):
+    """Copy the rows from ``first`` on, one after another."""
+    for row in range(first, len(source)):
         for lane in range(len(target)):
             for part in range(parts):
                 target[lane, row * parts + part] = source[row, lane * parts + part]
