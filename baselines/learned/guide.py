@@ -29,6 +29,7 @@ from ..steady_frames import OdometryFrame, SteadyPlanes
 from ..steering import WITHIN
 from .features import Features
 from .policy_settings import PolicySettings
+from .search.direct_control import DirectTeams
 
 Array = NDArray[np.float64]
 
@@ -309,3 +310,13 @@ class GuidedTeams:
         for memory in (self.steering, self.perception, self.bodies):
             if memory is not None:
                 memory.forget(which)
+
+
+Guide = GuidedTeams | DirectTeams
+"""From the choices of a network to actions, with a filter or without one."""
+
+
+def make_guide(settings: PolicySettings, *arguments: Any, **options: Any) -> Guide:
+    """Guide of a policy's filter; arguments as of ``GuidedTeams``."""
+    kind = DirectTeams if settings.guarantee == "none" else GuidedTeams
+    return kind(settings, *arguments, **options)
