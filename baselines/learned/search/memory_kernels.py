@@ -36,7 +36,9 @@ _SIZES = [math.prod(shape) for shape in FIELDS.values()]
 ) = (sum(_SIZES[:k]) for k in range(len(_SIZES)))  # fmt: skip
 EDGES = 6
 """Memory of an obstacle: both edges, x and y each; distance driven since, r; 1, or 0 if none."""
-COLUMNS = 1 + _J * (4 * _H + 3) + 17
+PERIODS = (6.0, 20.0)
+"""Periods, r/v_max, of a clock that runs while no robot is in view."""
+COLUMNS = 1 + _J * (4 * _H + 3) + 17 + 2 * len(PERIODS)
 """Number of context features."""
 _SLIGHT = 0.02  # number of robots or duration below which an average of directions fades
 _VARIATION = 40.0  # cycles of ``varied`` per rad of the last bearing
@@ -247,3 +249,7 @@ def _show_context(memory, now, body, out):
     out[column + 13], out[column + 14] = memory[_VARIED], 1.0 if had else 0.0
     out[column + 15] = memory[_COMMAND] / body[2]
     out[column + 16] = memory[_COMMAND + 1] / body[3]
+    for k in range(len(PERIODS)):
+        phase = 2.0 * math.pi * unseen / PERIODS[k]
+        out[column + 17 + 2 * k] = 0.0 if sees else math.sin(phase)
+        out[column + 18 + 2 * k] = 0.0 if sees else math.cos(phase)

@@ -15,7 +15,7 @@ from baselines.learned.feature_kernels import CONTEXT_COLUMNS
 from baselines.learned.learned_policy import LearnedPolicy
 from baselines.learned.policy_settings import COMMANDS, PolicySettings
 from baselines.learned.search.direct_control import DirectTeams
-from baselines.learned.search.memory_kernels import COLUMNS, HARMONICS, SCALES
+from baselines.learned.search.memory_kernels import COLUMNS, HARMONICS, PERIODS, SCALES
 from baselines.learned.training_environment import FeatureVectorEnv, shares_of
 from train.checks import UserError
 from train.learn import ppo
@@ -122,11 +122,13 @@ def test_features_are_of_rows_now_and_of_memory():
     assert before.context[0] == 1.0 and not before.neighbours.any()
     parts = features(teams, observed(TEAM, 0.3))
     np.testing.assert_allclose(parts.neighbours[0], [math.cos(0.3), math.sin(0.3), 1.0], rtol=1e-6)
-    np.testing.assert_allclose(parts.context[-17:-15], unit(0.3)[0], rtol=1e-6)
+    np.testing.assert_allclose(parts.context[-21:-19], unit(0.3)[0], rtol=1e-6)
     step(teams, observed(TEAM, 0.3), 0.0, 1.0)
     parts = features(teams, observed(TEAM))
-    np.testing.assert_allclose(parts.context[-17:-15], unit(0.25)[0], rtol=1e-5)
-    np.testing.assert_allclose(parts.context[-2:], [0.0, 1.0])
+    np.testing.assert_allclose(parts.context[-21:-19], unit(0.25)[0], rtol=1e-5)
+    np.testing.assert_allclose(parts.context[-6:-4], [0.0, 1.0])
+    clock = unit(*(2.0 * np.pi * 0.1 / UNIT / period for period in PERIODS))[:, ::-1]
+    np.testing.assert_allclose(parts.context[-4:], clock.ravel(), rtol=1e-6)
     assert np.abs(parts.context).max() <= 1.5 and not parts.neighbours.any()
 
 
