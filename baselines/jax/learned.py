@@ -222,10 +222,6 @@ class Learned(JaxPolicy):
 def form_of(policy: LearnedPolicy) -> JaxPolicy:
     """JAX form of a learned policy with a NumPy network."""
     check_in_plane("learned", policy.scenario)
-    if policy.settings.guarantee == "none":
-        raise NotImplementedError(
-            "networks without a filter are not covered by JAX; use baselines.make, which runs them"
-        )
     if not isinstance(policy._chooser, NumpyActor):
         raise NotImplementedError(
             "networks from ONNX files are not covered by JAX; use baselines.make, which runs them"

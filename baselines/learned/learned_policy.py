@@ -13,13 +13,13 @@ from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from ..filtered_policies import DecidingPolicy
 from ..policy import Float32, Mask, within_limits
+from ..search.direct_control import check_searches
 from ..steering import check_steerable
 from . import checkpoints
 from .guide import Guide, make_guide
 from .numpy_actor import Network, NumpyActor
 from .onnx_network import SUFFIX, OnnxNetwork
 from .policy_settings import PolicySettings
-from .search.direct_control import check_searches
 
 __all__ = ["LearnedPolicy", "PolicySettings", "load"]
 

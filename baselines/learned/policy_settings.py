@@ -17,9 +17,9 @@ from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..search.memory_kernels import COLUMNS
 from .feature_kernels import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
 from .features import VERSION, FeatureLayout
-from .search.memory_kernels import COLUMNS
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 """Choices with certified headings, rad counter-clockwise from f; 0 is the unmodified rule."""

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from rendezvous_env.baselines.learned.plain_data import read_json
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of, time_unit
-from rendezvous_env.baselines.learned.search.direct_control import check_searches
+from rendezvous_env.baselines.search.direct_control import check_searches
 from rendezvous_env.baselines.steering import can_steer, check_steerable
 from tyro.conf import arg
 

@@ -84,14 +84,14 @@ def {word}(axes, teams, constants, arrays, work):
 }
 _OF_OTHER_GUIDES = {
     is_filtered: {
-        Name(f"rendezvous_env.baselines.learned.{module}", word): f'''
+        Name(f"rendezvous_env.baselines.{module}", word): f'''
 class {word}:
     """The policy of this file is {what} a filter."""
 '''
     }
     for is_filtered, module, word, what in (
         (True, "search.direct_control", "DirectTeams", "under"),
-        (False, "guide", "GuidedTeams", "without"),
+        (False, "learned.guide", "GuidedTeams", "without"),
     )
 }
 _ROOTS = (

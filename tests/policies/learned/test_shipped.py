@@ -13,7 +13,6 @@ from train import policies
 from train.compare.evaluation import play
 from train.learn.settings import Config
 
-
 SEARCH = "learned-search"
 STEERED = [name for name in shipped.NAMES if name != SEARCH]
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from rendezvous_env.compilation import inner_kernel, kernel
 
-from ..feature_kernels import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
-
 SCALES = (0.5, 2.0, 8.0)
 """Time constants of the averages, r/v_max."""
 HARMONICS = 3
@@ -36,6 +34,9 @@ _SIZES = [math.prod(shape) for shape in FIELDS.values()]
 ) = (sum(_SIZES[:k]) for k in range(len(_SIZES)))  # fmt: skip
 EDGES = 6
 """Memory of an obstacle: both edges, x and y each; distance driven since, r; 1, or 0 if none."""
+NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS = 3, 6
+"""Features of a neighbour: bearing x, y; weight. Of an obstacle: both edges; distance driven since
+they were visible, r; 1 if they are."""
 PERIODS = (6.0, 20.0)
 """Periods, r/v_max, of a clock that runs while no robot is in view."""
 COLUMNS = 1 + _J * (4 * _H + 3) + 17 + 2 * len(PERIODS)

@@ -12,10 +12,8 @@ from rendezvous_env.engine.threads import Calls, Slice
 from rendezvous_env.safety.safety_filter import SafetyFilter, over_teams
 from rendezvous_env.scenario.scenario import Scenario
 
-from ...policy import Float32, Mask
-from ...records import Array, Records
-from ..features import FeatureLayout
-from ..policy_settings import PolicySettings
+from ..policy import Float32, Mask
+from ..records import Array, Records
 from .memory_kernels import EDGES, FIELDS, Body, command, move_memory, show_memory
 
 
@@ -25,10 +23,10 @@ class SearchMemory(StatefulMixin):
     Args:
         scenario: of unicycles.
         num_envs: B.
-        layout: of the features.
+        layout: of the features, with a number of ``neighbour_slots`` and ``obstacle_slots``.
     """
 
-    def __init__(self, scenario: Scenario, num_envs: int, layout: FeatureLayout) -> None:
+    def __init__(self, scenario: Scenario, num_envs: int, layout: Any) -> None:
         rows, robots = scenario.observation_layout, (num_envs, scenario.n_robots)
         self.layout = layout
         self.body = Body(
@@ -86,6 +84,13 @@ class DirectCommands(SafetyFilter):
 class DirectTeams:
     """Speeds and turn rates from a network, for B environments, with the interface of
     ``GuidedTeams``: show → (a network chooses) → choose → apply.
+
+    Args:
+        commands: choices, (choices, 2): speed and turn rate in units of their limits.
+        scenario: of unicycles; a ValueError for other robots.
+        num_envs: B.
+        layout: as of ``SearchMemory``.
+        num_threads: as of ``SafetyFilter``.
     """
 
     uses_feedback = False
@@ -94,21 +99,17 @@ class DirectTeams:
 
     def __init__(
         self,
-        settings: PolicySettings,
+        commands: ArrayLike,
         scenario: Scenario,
         num_envs: int,
-        *,
-        obstacle_slots: int | None = None,
+        layout: Any,
         num_threads: int | None = None,
     ) -> None:
         check_searches(scenario)
-        rows = scenario.observation_layout
-        slots = rows.obstacle_slots if obstacle_slots is None else obstacle_slots
-        layout = settings.layout(rows.neighbour_slots, slots)
         self.perception = memory = SearchMemory(scenario, num_envs, layout)
-        self._seen = num_envs, scenario.n_robots, *rows.shape
+        self._seen = num_envs, scenario.n_robots, *scenario.observation_layout.shape
         self._limits = np.array([memory.body.speed, memory.body.turn_rate])
-        self._table = np.array(settings.commands)
+        self._table = np.array(commands)
         self.steering = DirectCommands(scenario, num_envs, memory, num_threads)
         self.choices = np.zeros(self._seen[:2], dtype=np.int64)
         self._num_threads = num_threads
