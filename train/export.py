@@ -239,8 +239,8 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
 
     Inputs: neighbours (N, K, 3), obstacles (N, M, 6), context (N, columns) and, with a recurrent
     unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices) and
-    hidden_next. The metadata contain the settings, the angles of the choices, rad, and a digest of
-    the whole file.
+    hidden_next. The metadata contain the settings, the angles of the choices, rad, or their speeds
+    and turn rates in units of the limits, and a digest of the whole file.
 
     Raises:
         ValueError: naming an array that is missing, of another shape or not finite.
@@ -265,7 +265,7 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
         "obstacles": ["robots", "obstacle_slots", OBSTACLE_COLUMNS],
         "context": ["robots", layout.context_columns],
     }
-    found: dict[str, list[int | str]] = {"preferences": ["robots", len(settings.angles)]}
+    found: dict[str, list[int | str]] = {"preferences": ["robots", settings.choices]}
     if units:
         given["hidden"] = found["hidden_next"] = ["robots", units]
     inputs, outputs = (
@@ -286,6 +286,7 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
     about = {
         SETTINGS_KEY: json.dumps(settings.to_plain()),
         "angles": json.dumps(settings.angles.tolist()),
+        "commands": json.dumps(settings.commands),
         DIGEST_KEY: json.dumps(NO_DIGEST),
     }
     helper.set_model_props(made, about)

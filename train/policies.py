@@ -41,7 +41,7 @@ _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tang
 """Policies for obstacles, in order of decreasing collision-free success."""
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared only if named."""
-_WHERE_SENSORS_ERR = ("learned-tank-noise",)
+_WHERE_SENSORS_ERR = ("learned-tank-noise", "learned-search")
 """Policies without an advantage for exact sensors."""
 _LINK_KEEPING = "link-keeping"
 _found: dict[str, tuple[Any, str | None]] = {}
@@ -170,9 +170,22 @@ def check_names(wanted: Sequence[str]) -> None:
             find_function(name)
         elif learned_path(name) is not None:
             with user_error(f"policy {name!r}: ", ValueError):
-                make(name, Scenario(n_robots=2))
+                make(name, _read_by(name))
         elif name not in known:
             raise unknown_name("policy", name, (*known, f"{AT_PATH}PATH", "MODULE:FUNCTION"))
+
+
+def _read_by(name: str) -> Scenario:
+    """Scenario with robots for which a learned policy can be read: points, else unicycles."""
+    points = Scenario(n_robots=2)
+    try:
+        make(name, points)
+    except ValueError:
+        unicycles = points.replace(robot_model="unicycle")
+        with suppress(ValueError):
+            make(name, unicycles)
+            return unicycles
+    return points
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:

@@ -21,6 +21,7 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.planes_in_space import PASSABLE
 from ..policy import Float32, Mask
+from ..search.direct_control import DirectTeams
 from ..steady_frames import OdometryFrame, SteadyPlanes
 from .features import Features
 from .guide_kernels import Rule, aim, desired_velocities, room_for_aim, unit_vectors
@@ -279,3 +280,25 @@ class GuidedTeams:
         for memory in (self.steering, self.perception, self.bodies):
             if memory is not None:
                 memory.forget(which)
+
+
+Guide = GuidedTeams | DirectTeams
+"""From the choices of a network to actions, with a filter or without one."""
+
+
+def make_guide(
+    settings: PolicySettings,
+    scenario: Scenario,
+    num_envs: int,
+    *,
+    obstacle_slots: int | None = None,
+    num_threads: int | None = None,
+) -> Guide:
+    """Guide of a policy with these settings; arguments as of ``GuidedTeams``."""
+    if settings.guarantee != "none":
+        slots, threads = obstacle_slots, num_threads
+        return GuidedTeams(settings, scenario, num_envs, obstacle_slots=slots, num_threads=threads)
+    layout = settings.layout_of(scenario)
+    if obstacle_slots is not None:
+        layout = settings.layout(layout.neighbour_slots, obstacle_slots)
+    return DirectTeams(settings.commands, scenario, num_envs, layout, num_threads)

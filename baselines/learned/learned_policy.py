@@ -13,9 +13,10 @@ from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from ..filtered_policies import DecidingPolicy
 from ..policy import Float32, Mask, within_limits
+from ..search.direct_control import check_searches
 from ..steering import check_steerable
 from . import checkpoints
-from .guide import GuidedTeams
+from .guide import Guide, make_guide
 from .numpy_actor import Network, NumpyActor
 from .onnx_network import SUFFIX, OnnxNetwork
 from .policy_settings import PolicySettings
@@ -26,16 +27,18 @@ __all__ = ["LearnedPolicy", "PolicySettings", "load"]
 class GuidedPolicy(DecidingPolicy):
     """Base class of policies that choose for a base controller."""
 
-    _guided: GuidedTeams
+    _guided: Guide
 
     def __init__(self, scenario: Scenario, settings: PolicySettings) -> None:
         super().__init__(scenario, settings.decision_period(scenario))
         self.settings = settings
 
     @property
-    def guarantee(self) -> dict[str, Any]:
-        """As ``TeamPolicy``: certified headings or a tank, for any choice."""
+    def guarantee(self) -> dict[str, Any] | None:
+        """As ``TeamPolicy``: certified headings or a tank, for any choice; else None."""
         settings, margin = self.settings, {"min_alignment": self.settings.min_alignment}
+        if settings.guarantee == "none":
+            return None
         if settings.guarantee == "heading":
             return {"by": "heading", "max_turn_rate": settings.max_turn_rate} | margin
         budget = settings.budget_of(self.scenario)
@@ -51,7 +54,7 @@ class GuidedPolicy(DecidingPolicy):
 
     def _start(self, teams: int) -> None:
         super()._start(teams)
-        self._guided = GuidedTeams(self.settings, self.scenario, teams)
+        self._guided = make_guide(self.settings, self.scenario, teams)
 
     def _forget(self, which: Mask) -> None:
         super()._forget(which)
@@ -75,10 +78,10 @@ class LearnedPolicy(GuidedPolicy):
     """Greedy choices of a network under a guarantee that holds for any weights.
 
     The guarantee is theorem C or D; for nonholonomic robots it is theorem T, or that V + ΣA does
-    not increase. The policy chooses every ``decision_time``. It supports any number of robots and
-    obstacles, and all robot models except double integrators. ``weights`` are the network's arrays
-    by name, as in a checkpoint, or a network. A ValueError names an unsupported robot model or
-    weights that do not fit.
+    not increase. Without a filter there is none, and robots are unicycles. The policy chooses every
+    ``decision_time``. It supports any number of robots and obstacles, and all robot models except
+    double integrators. ``weights`` are the network's arrays by name, as in a checkpoint, or a
+    network. A ValueError names an unsupported robot model or weights that do not fit.
     """
 
     def __init__(
@@ -89,6 +92,8 @@ class LearnedPolicy(GuidedPolicy):
     ) -> None:
         scenario = resolve(scenario)
         check_steerable(scenario)
+        if settings.guarantee == "none":
+            check_searches(scenario)
         super().__init__(scenario, settings)
         turns = scenario.model.nonholonomic  # the body may be across f initially
         self.min_alignment = None if turns else settings.promised_margin

@@ -60,7 +60,7 @@ class NumpyActor(Network):
         self.memory = RecurrentUnit(weights, features, units) if units else None
         sizes = (units + features, *hidden)
         self.layers = linear_layers(weights, "mlp_extractor.policy_net", sizes)
-        last = sizes[-1], len(settings.angles)
+        last = sizes[-1], settings.choices
         self.last = linear_layer(weights, "action_net.weight", "action_net.bias", *last)
 
     def preferences(self, shown: Array, hidden: Array | None = None) -> Array:

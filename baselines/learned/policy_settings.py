@@ -17,13 +17,20 @@ from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from .feature_kernels import LEVEL_COLUMNS, WALL_COLUMNS
+from ..search.memory_kernels import COLUMNS
+from .feature_kernels import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
 from .features import VERSION, FeatureLayout
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 """Choices with certified headings, rad counter-clockwise from f; 0 is the unmodified rule."""
 ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
 """Choices with a tank, which pays for motion away from f, rad."""
+COMMANDS = (
+    *((1.0, rate) for rate in (0.0, 0.2, -0.2, 0.5, -0.5, 1.0, -1.0)),
+    *((0.0, rate) for rate in (0.0, 0.2, -0.2, 0.5, -0.5, 1.0, -1.0)),
+    *((-1.0, rate) for rate in (0.0, 1.0, -1.0)),
+)
+"""Choices without a filter: speed and turn rate in units of their limits."""
 CHOICES = len(ANGLES)
 _Width = Annotated[int, partial(check_int, least=1, most=2**12)]
 _Positive = Annotated[float, partial(number, least=1e-9, most=1e9)]
@@ -46,6 +53,11 @@ def _margin(_: str, value: Any) -> float:
     return check_margin(value)
 
 
+def time_unit(scenario: Scenario) -> float:
+    """Time r/v_max, s, in which a robot drives the merge radius."""
+    return float(scenario.merge_radius / scenario.action_bounds[0])
+
+
 @dataclass(frozen=True)
 class PolicySettings:
     """Settings of a learned policy, without its weights."""
@@ -57,8 +69,8 @@ class PolicySettings:
     min_alignment: Annotated[float, _margin]
     """Minimum alignment ε of the certified heading, or of the tank."""
     max_turn_rate: _Positive  # of the certified heading, rad/s
-    decision_time: _Positive  # s between decisions
-    guarantee: Literal["heading", "tank"] = "heading"
+    decision_time: _Positive  # s between decisions; without a filter in units of r/v_max
+    guarantee: Literal["heading", "tank", "none"] = "heading"
     budget: _NotNegative = 0.0  # initial energy of a tank, in units of r D̄
     memory: Literal["none", "features", "recurrent"] = "none"
     """Memory beyond the last decision: none, features of walls (with a tank), or recurrent."""
@@ -100,12 +112,23 @@ class PolicySettings:
 
     @property
     def angles(self) -> NDArray[np.float64]:
-        """Available choices, rad."""
-        return ANGLES if self.guarantee == "heading" else ALL_ROUND
+        """Available choices, rad; none without a filter."""
+        return {"heading": ANGLES, "tank": ALL_ROUND, "none": ANGLES[:0]}[self.guarantee]
+
+    @property
+    def commands(self) -> tuple[tuple[float, float], ...]:
+        """Available speeds and turn rates, in units of their limits; none with a filter."""
+        return COMMANDS if self.guarantee == "none" else ()
+
+    @property
+    def choices(self) -> int:
+        """Number of available choices."""
+        return len(self.angles) + len(self.commands)
 
     def decision_period(self, scenario: Scenario) -> int:
         """Steps between decisions in a scenario; 1 if a step is longer."""
-        return max(1, round(self.decision_time / scenario.tau))
+        unit = time_unit(scenario) if self.guarantee == "none" else 1.0
+        return max(1, round(self.decision_time * unit / scenario.tau))
 
     def budget_of(self, scenario: Scenario) -> float:
         """Budget B of each tank in a scenario, m²/s."""
@@ -114,6 +137,8 @@ class PolicySettings:
     def layout(self, neighbour_slots: int, obstacle_slots: int) -> FeatureLayout:
         """Feature layout for given numbers of slots."""
         columns = 0
+        if self.guarantee == "none":
+            columns = COLUMNS - CONTEXT_COLUMNS
         if self.guarantee == "tank":
             columns = LEVEL_COLUMNS + (WALL_COLUMNS if self.memory == "features" else 0)
         return FeatureLayout(neighbour_slots, obstacle_slots, columns)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Policy, in_the_plane, register
+from ..policy import Policy, in_the_plane, of_model, register
 from ..steering import can_steer
 from .checkpoints import describe
 from .learned_policy import load
@@ -26,9 +26,15 @@ _SHIPPED = {
         "pretrained_tank_noise",
         "As learned-tank, trained further with imperfect sensors and a larger clearance.",
     ),
+    "learned-search": (
+        "pretrained_search",
+        "Network that commands speed and turn rate from remembered bearings, without a filter.",
+    ),
 }
 """Folder of the weights and one-line description, by name."""
 NAMES = tuple(_SHIPPED)
+_FITS = {"learned-search": of_model("unicycle")}
+"""Robots of the policies that do not fit all of ``can_steer``."""
 _OF_OTHERS = {"learned-tank": "pretrained_tank_unicycle"}
 """Weights for all robot models but single integrators in the plane, trained with unicycles and
 larger tanks, never in 3-D. The other weights were trained with such integrators only."""
@@ -48,7 +54,7 @@ def _register(name: str, about: str) -> None:
         return load(folder(name, scenario), scenario)
 
     build.__doc__ = about
-    register(name, fits=can_steer, kind="learned")(build)
+    register(name, fits=_FITS.get(name, can_steer), kind="learned")(build)
 
 
 for _name, (_, _about) in _SHIPPED.items():

@@ -19,10 +19,11 @@ from rendezvous_env.limits import MAX_HELD_STEPS
 from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.simulator import Simulator
 
 from ..steering import can_steer
 from .features import FeatureLayout
-from .guide import GuidedTeams
+from .guide import make_guide
 from .policy_settings import PolicySettings
 from .shipped import POLICIES, preset
 
@@ -42,6 +43,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         env: environments of any robot model but double integrators, in any autoreset mode.
         settings: settings of the trained policy.
         contact_penalty: penalty for a robot's first contact in an episode, see ``TrainingTeams``.
+        own_progress: reward of a robot for its own share of the decrease of V, see ``shares_of``.
         obstacle_slots: as ``Features``, with its errors.
         global_state: features for critics, appended to the observations; None appends none. It has
             a ``size``, the number per robot, and ``states(simulator, f, levels)``, (B, n, size).
@@ -55,6 +57,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         settings: PolicySettings,
         *,
         contact_penalty: float = 0.0,
+        own_progress: float = 0.0,
         obstacle_slots: int | None = None,
         global_state: Any = None,
         discrete: bool = True,
@@ -62,18 +65,18 @@ class FeatureVectorEnv(GuaranteeWrapper):
         scenario, n = env.scenario, env.scenario.n_robots
         threads = env.simulator.num_threads
         self.settings, self.global_state, self.discrete = settings, global_state, discrete
-        self.guided = guided = GuidedTeams(
+        self.guided = guided = make_guide(
             settings, scenario, env.num_envs, obstacle_slots=obstacle_slots, num_threads=threads
         )
         super().__init__(env, guided.steering, settings.decision_period(scenario))
         more = 0 if global_state is None else global_state.size
         self.single_observation_space = team_box(observation_box(self.layout.size + more), n)
         self.single_action_space = (
-            MultiDiscrete([len(settings.angles)] * n)
+            MultiDiscrete([settings.choices] * n)
             if discrete
             else Box(-1.0, 1.0, (n, 2), dtype=np.float32)
         )
-        self.contact_penalty = float(contact_penalty)
+        self.contact_penalty, self.own_progress = float(contact_penalty), float(own_progress)
         self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
         self._shown = np.zeros((env.num_envs, *self.single_observation_space.shape), np.float32)
 
@@ -88,8 +91,14 @@ class FeatureVectorEnv(GuaranteeWrapper):
         return self.guided.steering.alignment
 
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
-        """As ``GuaranteeWrapper._drive``, with the penalty for first contacts."""
+        """As ``GuaranteeWrapper._drive``, with own progress and the penalty for first contacts."""
+        base: Any = self.env
+        before = base.simulator.positions.copy() if self.own_progress else None
         shown, rewards, ends, cuts, infos = super()._drive()
+        if before is not None:
+            shares = self.own_progress * shares_of(base.simulator, before)
+            infos["robot_rewards"] += shares
+            rewards = rewards + shares.mean(axis=1)
         contact, price = infos["contact"], self.contact_penalty
         rewards = charge_first_contacts(price, contact, self._touched, rewards, infos)
         return shown, rewards, ends, cuts, infos
@@ -110,6 +119,8 @@ class FeatureVectorEnv(GuaranteeWrapper):
         if self.global_state is not None:
             base: Any = self.env
             towards = base.scenario.observation_layout.net_bearing(self._observed)
+            if self.settings.guarantee == "none":
+                towards = np.zeros_like(towards)  # features have x along the body
             tank, nothing = self.guided.tank, np.zeros(self._touched.shape)
             levels = nothing if tank is None else tank.normalised_levels
             state = self.global_state.states(base.simulator, towards, levels)
@@ -136,6 +147,30 @@ class FeatureVectorEnv(GuaranteeWrapper):
         bodies = self.guided.bodies
         parts = super()._parts | {"perception": self.guided.perception}
         return parts if bodies is None else parts | {"bodies": bodies}
+
+
+def shares_of(simulator: Simulator, before: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of each robot in the decrease of V since its position, (B, n), of mean 1 per episode.
+
+        s_i = n/V(0) (p_i − p_i⁻) · (f_i + f_i⁻),   f_i = Σ_j a_ij (p_j − p_i)/‖p_j − p_i‖
+
+    f_i⁻ is that at the positions ``before``, (B, n, d). Merged robots have none.
+    """
+    now, weights, start = simulator.positions, simulator.weights, simulator.initial_lyapunov
+    pull = sum(_pull(points, weights) for points in (before, now))
+    gained = np.einsum("bid,bid->bi", now - before, pull) * simulator.active
+    scale = now.shape[1] / np.where(start > 0.0, start, np.inf)
+    shares: NDArray[np.float64] = gained * scale[:, np.newaxis]
+    return shares
+
+
+def _pull(points: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """f_i at points (B, n, d), with weights (B, n, n)."""
+    apart = points[:, np.newaxis] - points[:, :, np.newaxis]
+    length = np.linalg.norm(apart, axis=-1)
+    along = weights / np.where(length > 0.0, length, np.inf)
+    pull: NDArray[np.float64] = np.einsum("bij,bijd->bid", along, apart)
+    return pull
 
 
 class ShippedPreset:

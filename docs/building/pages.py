@@ -53,7 +53,7 @@ REFERENCE = {
         "Policies",
         ("baselines", "baselines/laws", "baselines/obstacle_rules", "baselines/references"),
     ),
-    "learned": ("Learned policies", ("baselines/learned",)),
+    "learned": ("Learned policies", ("baselines/learned", "baselines/search")),
     "adapters": ("Adapters to learning libraries", ("rendezvous_env/adapters",)),
     "equations": ("Equations", ("rendezvous_env/physics",)),
     "jax": ("JAX form", ("rendezvous_env/jax", "baselines/jax")),

@@ -28,8 +28,9 @@ SPACE = [("learned-tank", name) for name in ("clutter-3d-32", "window-3d", "uav-
 SPACE += [("tangent-joined-tuned", "uav-clutter-16")]
 LONG = [*SPACE, *product(POLICIES, ["trap"])]
 LONG += product(["learned-tank", "bearing-only"], ["robotarium-10"])
-LONG += [("search-and-pursue", "utias-5-clutter")]
+LONG += [(name, "utias-5-clutter") for name in ("search-and-pursue", "learned-search")]
 SHORT = [("learned", "unicycle-6"), ("learned", "uav-6"), ("search-and-pursue", "utias-5")]
+SHORT += [("learned-search", "utias-5")]
 
 
 @pytest.fixture(scope="module")

@@ -133,7 +133,7 @@ def test_pooling_kernels_match_torch(name, monkeypatch):
     about, tables = checkpoints.read(checkpoints.find(shipped.folder(name)), ["network"])
     settings = PolicySettings.from_plain(about["policy"])
     layout, own = settings.layout(K, M), {name: getattr(settings, name) for name in SETTINGS}
-    made = make_network(layout, len(settings.angles), **own)
+    made = make_network(layout, settings.choices, **own)
     weights = {k: torch.from_numpy(v) for k, v in tables["network"].items()}
     made.load_state_dict(weights, strict=False)
     assert made.state_dict().keys() & weights.keys() >= {"action_net.weight"}

@@ -12,6 +12,7 @@ from baselines.laws import paper_laws as laws
 from baselines.learned.shipped import NAMES
 from rendezvous_env.scenario.scenario import Scenario
 
+STEERED = [name for name in NAMES if name != "learned-search"]
 POINT = Scenario(n_robots=3)
 UNICYCLE = Scenario(n_robots=3, robot_model="unicycle", max_turn_rate=0.9)
 SPACE = Scenario(n_robots=3, dim=3, robot_model="nonholonomic_3d")
@@ -99,11 +100,11 @@ class TestRegistry:
         references = {"consensus", "circumcentre", "enclosing-ball", "nearest-pursuit", "planner"}
         flat = {"smallest-sector", "quantised"}
         field = {"unit-mean", "cyclic-pursuit", "nearest-pursuit", "link-keeping", *flat}
-        plane = {"bearing-only", *field, *NAMES, *everywhere}
+        plane = {"bearing-only", *field, *STEERED, *everywhere}
         plane |= {f"privileged-{name}" for name in references}
-        steered = {*NAMES, "privileged-planner", *everywhere}
+        steered = {*STEERED, "privileged-planner", *everywhere}
         cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield", *steered}
-        cars |= {"search-and-pursue"}
+        cars |= {"search-and-pursue", "learned-search"}
         flyers = {"nonholonomic-3d", "pursuit", *steered}
         rules = {"tangent", "tangent-blocking", "tangent-joined"}
         among_discs = {"tangent-joined", "tangent-joined-tuned", "tank-joined"}
@@ -120,7 +121,7 @@ class TestRegistry:
             (HEAVY, {"damped", *everywhere}),
         ):
             assert set(baselines.names(scenario)) == wanted
-        assert len(baselines.names()) == 33
+        assert len(baselines.names()) == 34
 
     def test_policies_have_descriptions_in_order_of_kind(self):
         """Exactly the oracles, which read positions, have privileged in name and kind."""

@@ -15,7 +15,7 @@ from rendezvous_env.trajectory import begin, run
 
 SCENARIOS = ("clutter-8", "clutter-3d", "unicycle-6", "uav-6", "duo", "mixed-8")
 HEAVY = rv.Scenario(n_robots=3, robot_model="double_integrator")
-ROUNDED = ("learned", "learned-tank", "learned-tank-noise")
+ROUNDED = ("learned", "learned-tank", "learned-tank-noise", "learned-search")
 """The order of a network's sums depends on the batch size."""
 
 

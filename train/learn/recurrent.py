@@ -160,7 +160,7 @@ def learner_of(
     config: Config, teams: FeatureVectorEnv
 ) -> tuple[type[HeadingPPO], type[HeadingNetwork], dict[str, Any]]:
     """Algorithm class, network class, and arguments of the network apart from its spaces."""
-    usual = {"heading": 3.0, "tank": 0.0}[config.guarantee]
+    usual = {"heading": 3.0, "tank": 0.0, "none": 0.0}[config.guarantee]
     prior = usual if config.prior is None else config.prior
     settings = network_settings(
         teams.layout, set_width=config.set_width, hidden=config.hidden, prior=prior

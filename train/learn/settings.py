@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from rendezvous_env.baselines.learned.plain_data import read_json
-from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of
+from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of, time_unit
+from rendezvous_env.baselines.search.direct_control import check_searches
 from rendezvous_env.baselines.steering import can_steer, check_steerable
 from tyro.conf import arg
 
@@ -58,7 +59,7 @@ FLAG_GROUPS = {
     "PPO": _LEARNING,
     "Policy": (*_POLICY, "decision_period", "budget", "critic"),
     "Domain randomisation of sensors": (*(f"sensing_{name}" for name in _SAMPLED), *_HOW_SAMPLED),
-    "Rewards": (*_REWARDS, "contact_penalty"),
+    "Rewards": (*_REWARDS, "own_progress", "contact_penalty"),
     "Evaluation and machine": (
         "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
         "num_threads", "device",
@@ -137,8 +138,9 @@ class Config(Flags):
     """Minimum alignment ε of the certified heading, or of the energy tank's reference."""
     max_turn_rate: Annotated[float, Bounds(0, ends="(]")] = 100.0
     """Maximum turn rate of the certified heading, rad/s."""
-    guarantee: Literal["heading", "tank"] = "heading"
-    """Safety filter: certified headings (theorem C) or one energy tank per robot (theorem D)."""
+    guarantee: Literal["heading", "tank", "none"] = "heading"
+    """Safety filter: certified headings (theorem C), one energy tank per robot (theorem D), or
+    none. Without one, unicycles choose speed and turn rate from the bearings that they remember."""
     budget: Annotated[float, Bounds(0, 1e9)] = 0.0
     """Initial stored energy of each tank, m²/s; the policy stores it in units of r D̄."""
     memory: Literal["none", "features", "recurrent"] = "none"
@@ -189,6 +191,8 @@ class Config(Flags):
     progress: float | None = None
     """Reward for a decrease of V from its initial value to 0. Default of this and the weights
     below: the scenario's if it sets any, else 0.5, 0.1, 0 and 1."""
+    own_progress: Annotated[float, Bounds(0)] = 0.0
+    """Reward of each robot for the decrease of V by its own motion, from the initial value to 0."""
     time_penalty: float | None = None
     """Cost of an episode that reaches the time limit, spread evenly over its steps."""
     collision_penalty: float | None = None
@@ -289,9 +293,10 @@ class Config(Flags):
     def policy_settings(self) -> PolicySettings:
         """Settings of the trained policy."""
         scenario = self.base_scenario()
+        unit = time_unit(scenario) if self.guarantee == "none" else 1.0
         return PolicySettings(
             **{name: getattr(self, name) for name in _POLICY},
-            decision_time=self.decision_period * scenario.tau,
+            decision_time=self.decision_period * scenario.tau / unit,
             budget=self.budget / unit_of_tanks(scenario),
         )
 
@@ -322,10 +327,14 @@ def _check_unused(config: Config) -> None:
             "as --num-envs"
         )
     unused = {}
-    if config.guarantee == "heading":
+    if config.guarantee != "tank":
         unused["budget"] = "headings have none: add --guarantee tank"
         if config.memory == "features":
             unused["memory"] = unused["budget"]
+    if config.guarantee == "none":
+        filtered = "no filter reads it: leave --guarantee none out"
+        unused |= dict.fromkeys(("clearance", "persistence", "min_alignment"), filtered)
+        unused["max_turn_rate"] = filtered
     if config.memory != "recurrent":
         unused["memory_units"] = "there are none without --memory recurrent"
     if not ranges:
@@ -354,6 +363,8 @@ def _check_scenarios(config: Config) -> None:
         )
     for scenario in (base, *map(resolve_scenario, config.eval_scenarios)):
         check_steerable(scenario)
+        if config.guarantee == "none":
+            check_searches(scenario)
     config.obstacle_slots()
 
 

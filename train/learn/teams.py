@@ -154,6 +154,7 @@ def make_environments(config: Config, stage: int) -> FeatureVectorEnv | SensingG
             make_vec(sensed, size, autoreset_mode=mode, num_threads=config.num_threads),
             settings,
             contact_penalty=config.contact_penalty,
+            own_progress=config.own_progress,
             obstacle_slots=slots,
             global_state=state,
         )

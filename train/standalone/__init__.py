@@ -82,6 +82,18 @@ def {word}(axes, teams, constants, arrays, work):
 '''
     for module, word in (("heading", "_turn_bodies"), ("tank", "_spend_bodies"))
 }
+_OF_OTHER_GUIDES = {
+    is_filtered: {
+        Name(f"rendezvous_env.baselines.{module}", word): f'''
+class {word}:
+    """The policy of this file is {what} a filter."""
+'''
+    }
+    for is_filtered, module, word, what in (
+        (True, "search.direct_control", "DirectTeams", "under"),
+        (False, "learned.guide", "GuidedTeams", "without"),
+    )
+}
 _ROOTS = (
     Name("rendezvous_env.baselines.robot_policy", "OneRobot"),
     Name("rendezvous_env.scenario.observation_layout", "ObservationLayout"),
@@ -241,6 +253,7 @@ def text_of(
         make = f"{build.__name__}(TEAM)"
     else:
         roots += _NETWORK
+        stand_ins |= _OF_OTHER_GUIDES[network[1].guarantee != "none"]
         make, extra = "learned_policy()", _learned(*network)
     head = _HEAD.format(
         policy=_in_docstring(policy),

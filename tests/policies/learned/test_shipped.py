@@ -13,8 +13,11 @@ from train import policies
 from train.compare.evaluation import play
 from train.learn.settings import Config
 
+SEARCH = "learned-search"
+STEERED = [name for name in shipped.NAMES if name != SEARCH]
 
-@pytest.mark.parametrize("name", shipped.NAMES)
+
+@pytest.mark.parametrize("name", STEERED)
 def test_shipped_policy_fits_and_documents_training(name):
     clutter = scenarios.get("clutter-16")
     assert name in baselines.names(clutter)
@@ -26,7 +29,7 @@ def test_shipped_policy_fits_and_documents_training(name):
     assert bool(trained.sensing_ranges()) == name.endswith("-noise")
 
 
-@pytest.mark.parametrize("name", shipped.NAMES)
+@pytest.mark.parametrize("name", STEERED)
 def test_shipped_policy_tolerates_sensor_errors(name):
     """Finite velocities within the limit for any observation, zero without one."""
     sensing = Sensing(noise=0.2, dropout=0.5, delay=2, occlusion="both", field_of_view=4.0)
@@ -42,6 +45,36 @@ def test_shipped_policy_tolerates_sensor_errors(name):
         blind += (nobody & simulator.active).sum()
         seen = simulator.step(actions).observations
     assert blind > 100 and np.median(simulator.path_length) > 5.0
+
+
+def test_search_policy_fits_unicycles_and_documents_training():
+    field = scenarios.get("utias-5-clutter")
+    assert SEARCH in baselines.names(field)
+    assert SEARCH not in baselines.names(scenarios.get("clutter-8"))
+    policies.check_names([SEARCH])
+    about = checkpoints.describe(shipped.folder(SEARCH))
+    trained = Config.from_plain(about["config"])
+    assert policies.make(SEARCH, field).settings == trained.policy_settings()
+    assert trained.scenario == "utias-5-clutter" and trained.guarantee == "none"
+    assert SEARCH not in policies.fitting(scenarios.get("unicycle-6"), (), brief=True)
+
+
+def test_search_policy_meets():
+    """As often as search-and-pursue within 150 s, in less time than a prototype's 77 s."""
+    scenario = scenarios.get("utias-5").replace(time_limit=150.0)
+    found, _ = play(
+        scenario, partial(policies.make, SEARCH, scenario), margin=None, episodes=40, seed=1000
+    )
+    assert found.clean.mean() >= 0.9 and np.median(found.time) < 70.0
+
+
+@pytest.mark.slow
+def test_search_policy_passes_obstacles():
+    scenario = scenarios.get("utias-5-clutter").replace(time_limit=400.0)
+    found, _ = play(
+        scenario, partial(policies.make, SEARCH, scenario), margin=None, episodes=60, seed=1000
+    )
+    assert found.clean.mean() >= 0.85
 
 
 @pytest.mark.slow
