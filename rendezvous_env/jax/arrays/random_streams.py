@@ -3,16 +3,19 @@
 A word of 64 bits is a pair (high, low) of uint32, since uint64 needs ``jax_enable_x64``.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 Word = tuple[Any, Any]
 
 
 def word(value: int) -> Word:
     """Convert an integer of at most 64 bits to a word."""
-    return jnp.uint32(value >> 32 & 0xFFFFFFFF), jnp.uint32(value & 0xFFFFFFFF)
+    high, low = _halves(value)
+    return jnp.uint32(high), jnp.uint32(low)
 
 
 _INCREMENT = 0x9E3779B97F4A7C15
@@ -30,7 +33,7 @@ def exclusive_or(a: Word, b: Word) -> Word:
     return a[0] ^ b[0], a[1] ^ b[1]
 
 
-def shifted(a: Word, bits: int) -> Word:
+def shifted(a: Word, bits: Any) -> Word:
     """A ≫ bits, 0 < bits < 32."""
     return a[0] >> bits, (a[1] >> bits) | (a[0] << (32 - bits))
 
@@ -52,18 +55,35 @@ def _wide_product(a: Any, b: Any) -> Word:
 
 
 def mix(a: Word) -> Word:
-    """``physics.random_streams.mix``."""
-    a = times(exclusive_or(a, shifted(a, 30)), word(_FACTOR_1))
-    a = times(exclusive_or(a, shifted(a, 27)), word(_FACTOR_2))
+    """``physics.random_streams.mix``.
+
+    Its two rounds are a loop, whose result XLA does not compute anew wherever it is used.
+    """
+    shape = jnp.broadcast_shapes(jnp.shape(a[0]), jnp.shape(a[1]))
+    a = jnp.broadcast_to(a[0], shape), jnp.broadcast_to(a[1], shape)
+
+    def multiply(a: Word, factor: Any) -> tuple[Word, None]:
+        bits, *other = factor
+        return times(exclusive_or(a, shifted(a, bits)), (other[0], other[1])), None
+
+    rounds = np.array([(30, *_halves(_FACTOR_1)), (27, *_halves(_FACTOR_2))], np.uint32)
+    a, _ = jax.lax.scan(multiply, a, tuple(rounds.T))
     return exclusive_or(a, shifted(a, 31))
 
 
-def stream_key(seed: Word, episode: Any, purpose: int) -> Word:
-    """``physics.random_streams.stream_key`` of a seed (a word), an episode and a purpose."""
+def _halves(value: int) -> tuple[int, int]:
+    return value >> 32 & 0xFFFFFFFF, value & 0xFFFFFFFF
+
+
+def stream_keys(seed: Word, episode: Any, *purposes: int) -> list[Word]:
+    """``physics.random_streams.stream_key`` of a seed (a word), an episode and each purpose."""
     number = jnp.zeros_like(episode, jnp.uint32), episode.astype(jnp.uint32)
     key = mix(add(seed, word(_INCREMENT)))
     key = mix(exclusive_or(key, add(number, word(_INCREMENT))))
-    return mix(exclusive_or(key, word(purpose + _INCREMENT)))
+    halves = np.array([_halves(purpose + _INCREMENT) for purpose in purposes], np.uint32)
+    high, low = halves.T.reshape(2, -1, *[1] * episode.ndim)
+    keys = mix(exclusive_or(key, (high, low)))
+    return [(keys[0][k], keys[1][k]) for k in range(len(purposes))]
 
 
 def word_of(key: Word, counter: Any) -> Word:
@@ -76,3 +96,15 @@ def uniform(key: Word, counter: Any, dtype: Any) -> Any:
     """``physics.random_streams.uniform``: exact in float64, rounded in float32."""
     high, low = word_of(key, counter)
     return high.astype(dtype) * 2.0**-32 + (low >> 11).astype(dtype) * 2.0**-53
+
+
+class Numbers(NamedTuple):
+    """Numbers of streams, for kernels in place of a key; counters are their indices."""
+
+    values: Any  # (N, …)
+
+
+def numbers(key: Word, first: Any, count: int, dtype: Any) -> Numbers:
+    """Numbers (count, …) of streams from counters (…) on, sampled at once."""
+    index = np.arange(count).reshape(-1, *[1] * jnp.ndim(first))
+    return Numbers(uniform(key, first + index, dtype))

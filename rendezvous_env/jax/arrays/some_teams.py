@@ -30,7 +30,8 @@ def for_teams(
 
     def work(now: Any) -> Any:
         left, results = now
-        (teams,) = jnp.nonzero(left, size=size, fill_value=batch)
+        place = jnp.where(left, jnp.cumsum(left) - 1, size)
+        teams = jnp.full(size, batch).at[place].set(jnp.arange(batch), mode="drop")
         some = jax.tree.map(lambda a: jnp.take(a, teams, axis=-1, mode="clip"), given)
         results = jax.tree.map(
             lambda a, b: a.at[..., teams].set(b, mode="drop"), results, function(some)

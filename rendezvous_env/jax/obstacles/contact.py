@@ -316,7 +316,7 @@ class ObstacleContact:
 
         given = {
             "point": rows(positions), "way": rows(ways), "curve": [lanes(part) for part in curve],
-            "environment": jnp.arange(near.size) % count,
+            "environment": jax.lax.rem(jnp.arange(near.size), count),
         }  # fmt: skip
 
         def stop(given: Any) -> Any:
