@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+Array = jax.Array
 Word = tuple[Any, Any]
 
 
@@ -33,7 +34,7 @@ def exclusive_or(a: Word, b: Word) -> Word:
     return a[0] ^ b[0], a[1] ^ b[1]
 
 
-def shifted(a: Word, bits: Any) -> Word:
+def shifted(a: Word, bits: int) -> Word:
     """A ≫ bits, 0 < bits < 32."""
     return a[0] >> bits, (a[1] >> bits) | (a[0] << (32 - bits))
 
@@ -55,19 +56,9 @@ def _wide_product(a: Any, b: Any) -> Word:
 
 
 def mix(a: Word) -> Word:
-    """``physics.random_streams.mix``.
-
-    Its two rounds are a loop, whose result XLA does not compute anew wherever it is used.
-    """
-    shape = jnp.broadcast_shapes(jnp.shape(a[0]), jnp.shape(a[1]))
-    a = jnp.broadcast_to(a[0], shape), jnp.broadcast_to(a[1], shape)
-
-    def multiply(a: Word, factor: Any) -> tuple[Word, None]:
-        bits, *other = factor
-        return times(exclusive_or(a, shifted(a, bits)), (other[0], other[1])), None
-
-    rounds = np.array([(30, *_halves(_FACTOR_1)), (27, *_halves(_FACTOR_2))], np.uint32)
-    a, _ = jax.lax.scan(multiply, a, tuple(rounds.T))
+    """``physics.random_streams.mix``."""
+    a = times(exclusive_or(a, shifted(a, 30)), word(_FACTOR_1))
+    a = times(exclusive_or(a, shifted(a, 27)), word(_FACTOR_2))
     return exclusive_or(a, shifted(a, 31))
 
 
@@ -76,13 +67,27 @@ def _halves(value: int) -> tuple[int, int]:
 
 
 def stream_keys(seed: Word, episode: Any, *purposes: int) -> list[Word]:
-    """``physics.random_streams.stream_key`` of a seed (a word), an episode and each purpose."""
-    number = jnp.zeros_like(episode, jnp.uint32), episode.astype(jnp.uint32)
-    key = mix(add(seed, word(_INCREMENT)))
-    key = mix(exclusive_or(key, add(number, word(_INCREMENT))))
+    """``physics.random_streams.stream_key`` of a seed (a word), an episode and each purpose.
+
+    A loop mixes, since XLA does not repeat it wherever a key is used.
+    """
+    number = add(
+        (jnp.zeros_like(episode, jnp.uint32), episode.astype(jnp.uint32)), word(_INCREMENT)
+    )
     halves = np.array([_halves(purpose + _INCREMENT) for purpose in purposes], np.uint32)
-    high, low = halves.T.reshape(2, -1, *[1] * episode.ndim)
-    keys = mix(exclusive_or(key, (high, low)))
+    last = halves.T.reshape(2, -1, *[1] * episode.ndim)
+    shape = (len(purposes), *episode.shape)
+
+    def spread(values: Any) -> Array:
+        return jnp.broadcast_to(values, shape)
+
+    def stir(key: Word, value: Word) -> tuple[Word, None]:
+        return mix(exclusive_or(key, value)), None
+
+    begun = add(seed, word(_INCREMENT))
+    values = [jnp.stack([spread(0 * part), spread(part), spread(end)])
+              for part, end in zip(number, last, strict=True)]  # fmt: skip
+    keys, _ = jax.lax.scan(stir, (spread(begun[0]), spread(begun[1])), tuple(values))
     return [(keys[0][k], keys[1][k]) for k in range(len(purposes))]
 
 
@@ -105,6 +110,15 @@ class Numbers(NamedTuple):
 
 
 def numbers(key: Word, first: Any, count: int, dtype: Any) -> Numbers:
-    """Numbers (count, …) of streams from counters (…) on, sampled at once."""
+    """Numbers (count, …) of streams from counters (…) on, sampled at once.
+
+    A loop samples many, since XLA does not repeat it wherever a number is used.
+    """
+    if count > _MOST_AT_ONCE:
+        sample = lambda k: uniform(key, first + k, dtype)  # noqa: E731
+        return Numbers(jax.lax.map(sample, jnp.arange(count)))
     index = np.arange(count).reshape(-1, *[1] * jnp.ndim(first))
     return Numbers(uniform(key, first + index, dtype))
+
+
+_MOST_AT_ONCE = 4
