@@ -83,13 +83,15 @@ class Starts:
         near, linked = rules.least_distance**2, jnp.asarray(self._linked)
 
         def needs_more(drawn: Any) -> Array:
-            _, robot, _, tries = drawn
+            _, robot, _, tries, _ = drawn
             return jnp.any((robot < n) & (tries < _MAX_DRAWS))
 
+        def sampled(counter: Array) -> Array:
+            return edges * (numbers(key, counter, d, self._dtype).values - 0.5)
+
         def draw(drawn: Any) -> Any:
-            positions, robot, counter, tries = drawn
+            positions, robot, counter, tries, place = drawn
             busy = (robot < n) & (tries < _MAX_DRAWS)
-            place = edges * (numbers(key, counter, d, self._dtype).values - 0.5)
             square = sum((positions[:, axis] - place[axis]) ** 2 for axis in range(d))
             others = jnp.moveaxis(linked[jnp.minimum(robot, n - 1)], -1, 0) & (robots < robot)
             kept = busy & ~jnp.any(others & (square < near), axis=0)
@@ -100,10 +102,11 @@ class Starts:
             mine = (robots == robot) & kept
             positions = jnp.where(mine[:, None], place[None], positions)
             tries = jnp.where(kept, 0, tries + busy)
-            return positions, robot + kept, counter + d * busy, tries
+            counter = counter + d * busy
+            return positions, robot + kept, counter, tries, sampled(counter)
 
         none = jnp.zeros(batch, jnp.int32)
-        begun = jnp.zeros((n, d, *batch), self._dtype), none, none, none
+        begun = jnp.zeros((n, d, *batch), self._dtype), none, none, none, sampled(none)
         positions, robot, *_ = jax.lax.while_loop(needs_more, draw, begun)
         return jnp.where(robot < n, jnp.nan, positions)
 

@@ -335,7 +335,7 @@ class ObstacleContact:
 
         given = {
             "point": rows(positions), "way": rows(ways), "curve": [lanes(part) for part in curve],
-            "environment": jax.lax.rem(jnp.arange(near.size), count),
+            "environment": jnp.arange(near.size, dtype=jnp.uint32) % count,
         }  # fmt: skip
 
         def stop(given: Any) -> Any:

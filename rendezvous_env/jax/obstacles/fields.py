@@ -85,24 +85,27 @@ class Fields:
         count = least + (uniform(key, 0, self._dtype) * (most - least + 1)).astype(jnp.int32)
         indices = np.arange(slots).reshape(-1, *[1] * len(batch))
 
+        def sampled(counter: Array) -> Array:
+            return numbers(key, counter, 1 + d, self._dtype).values
+
         def draw(now: Any) -> Any:
-            shapes, m, counter, tries = now
+            shapes, m, counter, tries, (share, *places) = now
             busy = (m < count) & (tries < _TRIES_PER_OBSTACLE)
-            share, *places = numbers(key, counter, 1 + d, self._dtype).values
             radius = low + (high - low) * share
             place = [rules.region * (one - 0.5) for one in places]
             row = jnp.stack([radius, *place, *[jnp.zeros_like(radius)] * (3 - d)])
             fits = busy & self._fits(row, shapes, indices < m, starts)
             shapes = jnp.where(((indices == m) & fits)[:, None], row, shapes)
             tries = jnp.where(fits, 0, tries + busy)
-            return shapes, m + fits, counter + (1 + d) * busy, tries
+            counter = counter + (1 + d) * busy
+            return shapes, m + fits, counter, tries, sampled(counter)
 
         shapes = jnp.zeros((slots, DETAILS - AHEAD, *batch), self._dtype)
         zero = jnp.zeros(batch, jnp.int32)
         shapes, m, *_ = jax.lax.while_loop(
             lambda now: jnp.any((now[1] < count) & (now[3] < _TRIES_PER_OBSTACLE)),
             draw,
-            (shapes, zero, zero + 1, zero),
+            (shapes, zero, zero + 1, zero, sampled(zero + 1)),
         )
         none = jnp.zeros((slots, *batch), self._dtype)
         return World(jnp.asarray(indices) < m, _failed(shapes, m < count), none)
