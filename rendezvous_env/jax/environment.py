@@ -506,14 +506,13 @@ def make(
         num_envs: B environments, which is faster than ``vmap``; None for one without a batch axis.
             In the arrays of the state the environment axis is last.
         autoreset_mode: DISABLED, an environment that has ended stops; or SAME_STEP.
-        differentiable: whether gradients pass through merges, in loops of fixed length, and
-            actions and observations are not rounded to float32.
+        differentiable: whether gradients pass through merges and contacts, in loops of fixed
+            length, and actions and observations are not rounded to float32.
         final_obs: whether infos contain the last observation of episodes that end.
         **options: fields of the scenario to change, and settings of the filter.
 
     Raises:
-        NotImplementedError: naming a field that the JAX form does not cover. Obstacles with which
-            robots have contact are not differentiable.
+        NotImplementedError: naming a field that the JAX form does not cover.
         TypeError: for an unknown option, with the nearest known one.
         ValueError: for an invalid value.
     """
@@ -528,9 +527,6 @@ def make(
     mode = _autoreset_mode(autoreset_mode)
     if mode is AutoresetMode.NEXT_STEP:
         raise_not_covered("autoreset_mode", str(mode))
-    contact = resolved.observation_layout.obstacle_slots and resolved.obstacle_contact != "ignore"
-    if flag("differentiable", differentiable) and contact:
-        raise_not_covered("differentiable", "True with contact at obstacles")
     if num_envs is not None:
         check_int("num_envs", num_envs, 1, MAX_TEAMS)
     safety_filter = None
@@ -541,6 +537,6 @@ def make(
         safety_filter,
         num_envs,
         mode is AutoresetMode.SAME_STEP,
-        differentiable,
+        flag("differentiable", differentiable),
         flag("final_obs", final_obs),
     )

@@ -43,10 +43,15 @@ def _scaled(a: Any, factor: Any) -> Any:
 
 
 class Contact:
-    """Motion of robots up to and along obstacles, in SLIDE or STOP mode."""
+    """Motion of robots up to and along obstacles, in SLIDE or STOP mode.
 
-    def __init__(self, shapes: Shapes, mode: int) -> None:
+    With ``bounded`` gradients pass: legs are a loop of fixed length, and corrections by less than
+    the depth of contact, whose loops end early, are constants.
+    """
+
+    def __init__(self, shapes: Shapes, mode: int, bounded: bool = False) -> None:
         self._shapes, self._mode, self._tolerances = shapes, mode, shapes.tolerances
+        self._bounded = bounded
 
     def move_straight(self, world: World, point: Any, way: Any) -> tuple[Array, Any]:
         """``contact.move_straight``: whether there was a contact, and the displacement."""
@@ -66,7 +71,7 @@ class Contact:
         reach = model.speed_limit * model.duration
         near = jnp.any(self._shapes.within(world, point, reach), axis=0)
         has_room, in_skin, start = self._out_of_skins(world, point, near)
-        time = self._first_contact_on_curve(world, start, curve, near & has_room)
+        time = self._time_of_contact(world, start, curve, near & has_room)
         contact, free_end = time <= model.duration, _add(start, way)
         is_clear = self._shapes.is_clear(world, free_end, self._tolerances.touching)
         free = ~near | (~contact & is_clear)
@@ -106,8 +111,18 @@ class Contact:
         in_skin = self._is_in_skin(world, point, asked)
         if not self._shapes.has_skins:
             return ~in_skin, in_skin, point
-        has_room, start = self._push_out(world, point, in_skin)
+        has_room, start = self._push_out(world, self._constant(point), in_skin)
+        start = self._corrected(point, start)
         return has_room | ~in_skin, in_skin, select(in_skin, start, point)
+
+    def _constant(self, values: Any) -> Any:
+        return jax.tree.map(jax.lax.stop_gradient, values) if self._bounded else values
+
+    def _corrected(self, point: Any, corrected: Any) -> Any:
+        """A corrected point, with the gradient of the point where gradients pass."""
+        if not self._bounded:
+            return corrected
+        return _add(point, self._constant(_subtract(corrected, point)))
 
     def _is_in_skin(self, world: World, point: Any, asked: Array) -> Array:
         if not self._shapes.has_skins:
@@ -151,15 +166,18 @@ class Contact:
         def retreat(now: Any) -> Any:
             share, step, end, clear, busy = now
             last = ~((share > 0.0) & (step > 0.0))
-            is_out, point = self._push_out(world, select(last, start, place(share)), busy)
+            tried = self._constant(select(last, start, place(share)))
+            is_out, point = self._push_out(world, tried, busy)
             ends = busy & (is_out | last)
             end, clear = select(ends, point, end), jnp.where(ends, is_out, clear)
             return share - step, 2.0 * step, end, clear, busy & ~ends
 
-        depth = self._tolerances.depth
+        depth, wanted, world = self._tolerances.depth, place(share), self._constant(world)
         begun = share, depth / jnp.maximum(depth, pace), start, jnp.zeros_like(asked), asked
-        _, _, end, clear, _ = jax.lax.while_loop(lambda now: jnp.any(now[-1]), retreat, begun)
-        return end, clear
+        _, _, end, clear, _ = jax.lax.while_loop(
+            lambda now: jnp.any(now[-1]), retreat, self._constant(begun)
+        )
+        return self._corrected(wanted, end), clear
 
     def _follow(
         self, world: World, point: Any, way: Any, asked: Array, in_skin: Any = False
@@ -193,9 +211,11 @@ class Contact:
 
         legs, yes = jnp.where(in_skin, -1, jnp.zeros(asked.shape, jnp.int32)), asked | True
         begun = point, way, jnp.ones_like(way[0]), legs, yes, jnp.full_like(way[0], jnp.inf), asked
-        end, _, _, _, has_room, first, _ = jax.lax.while_loop(
-            lambda now: jnp.any(now[-1]), go, begun
-        )
+        if self._bounded:
+            last = jax.lax.fori_loop(0, _MAX_LEGS + 1, lambda _, now: go(now), begun)
+        else:
+            last = jax.lax.while_loop(lambda now: jnp.any(now[-1]), go, begun)
+        end, *_, has_room, first, _ = last
         return end, has_room, first
 
     def _is_held(self, world: World, point: Any, executed: Any, way: Any) -> Array:
@@ -262,6 +282,29 @@ class Contact:
             best = jax.lax.fori_loop(0, self._shapes.count, meet, none)
         return select(is_free(velocity), velocity, best)
 
+    def _time_of_contact(self, world: World, point: Any, curve: Any, asked: Array) -> Array:
+        """``_first_contact_on_curve``, with its gradient where gradients pass.
+
+        A time t of contact satisfies g(t) = −depth, g the distance to the obstacles; hence
+        dt = −dg/ġ.
+        """
+        if not self._bounded:
+            return self._first_contact_on_curve(world, point, curve, asked)
+        fixed = self._constant((world, point, curve[1:]))
+        kept = fixed[0], fixed[1], (curve[0], *fixed[2])
+        found = self._first_contact_on_curve(*kept, asked)
+        met = found <= curve[0].duration
+        time = jnp.where(met, found, 0.0)
+
+        def gap(world: World, point: Any, curve: Any, time: Array) -> Array:
+            there = _add(point, self._displacement(curve, time))
+            return jnp.min(self._shapes.distances(world, there) - world.skins, axis=0)
+
+        _, rate = jax.jvp(lambda now: gap(*kept, now), (time,), (jnp.ones_like(time),))
+        apart = gap(world, point, curve, time)
+        change = divided(self._constant(apart) - apart, self._constant(rate))
+        return jnp.where(met, time + change, found)
+
     def _first_contact_on_curve(self, world: World, point: Any, curve: Any, asked: Array) -> Array:
         """``contact._first_contact_on_curve``: the time until contact, s, or inf."""
         model, action, _, memory = curve
@@ -308,7 +351,7 @@ class ObstacleContact:
 
     def __init__(self, fields: Fields, model: Any, mode: int, every: bool) -> None:
         self._fields, self._model, self._every = fields, model, every
-        self._contact = Contact(fields.shapes, mode)
+        self._contact = Contact(fields.shapes, mode, every)
         self.outcome = STOPPED if mode == STOP else SLID
         """Contact of robots that meet an obstacle, for ``Motion.update``."""
         margin = 3.0 * fields.shapes.tolerances.depth  # more than a skin
