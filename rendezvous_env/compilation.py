@@ -11,7 +11,7 @@ from types import FunctionType
 from typing import Any, Literal
 
 import numba
-from numba.core import sigutils, types
+from numba.core import event, sigutils, types
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import OmittedArg
@@ -20,12 +20,13 @@ from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
+from .inner_code import load_environments, lower_inner_kernels
 from .kernel_cache import KernelCache, digest_of
 
 _CONFIG: Any = numba.config
 _DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden here
 _COMPILER: Any = Compiler
-_PATIENCE = 2.0  # s; a compilation that takes longer is announced
+_PATIENCE = 2.0  # s; compiling for longer, in all, is announced
 
 Inline = Literal["never", "code", "text"]
 """Inlining of a kernel into its callers.
@@ -101,11 +102,15 @@ class _KernelCompiler(_COMPILER):
     linked together, could then contain two functions of one name.
     """
 
+    with_entry = True
+    """False while a kernel is compiled for another one only: it gets no Python entry."""
+
     def define_pipelines(self) -> Any:
         identity = self.state.func_id
         identity.unique_id = digest_of(identity.func, self.state.args)[:16]
         identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
-        return super().define_pipelines()
+        self.state.flags.no_cpython_wrapper |= not _KernelCompiler.with_entry
+        return lower_inner_kernels(super().define_pipelines())
 
 
 OVERLOADED: Any = _options("code", inner=True) | {"pipeline_class": _KernelCompiler}
@@ -123,31 +128,67 @@ class _Kernel(_DISPATCHER):
         super().__init__(py_func, locals, targetoptions, _KernelCompiler)
         self._cache = KernelCache(self)
         self._inner = targetoptions.get("no_cpython_wrapper", False)
+        self._with_entry: set[Any] = set()
+        self._caller_is_kernel = False
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Signature for a call by another kernel, which needs no Python entry.
+
+        Constant arguments make no signatures of their own.
+        """
+        self._caller_is_kernel = True
+        named = {name: types.unliteral(kind) for name, kind in kws.items()}
+        return super().get_call_template(tuple(map(types.unliteral, args)), named)
 
     def compile(self, sig: Any) -> Any:
         """Entry point for a signature, from disk or newly compiled."""
-        arguments, _ = sigutils.normalize_signature(sig)
+        arguments = tuple(sigutils.normalize_signature(sig)[0])
         with global_compiler_lock:
-            if (known := self.overloads.get(tuple(arguments))) is not None:
-                return known.entry_point
-            with self._cache.exclusive(arguments), _announced(self), _compiling(self.slp):
-                return super().compile(arguments)
+            entry = not (self._inner or self._caller_is_kernel)
+            self._caller_is_kernel = False
+            known = self.overloads.get(arguments)
+            if known is None or (entry and arguments not in self._with_entry):
+                with (
+                    self._cache.exclusive(arguments, entry),
+                    _announced(self),
+                    _compiling(self.slp, entry),
+                    self._compiling_counter,
+                ):
+                    known = self._load(arguments) or self._compile(arguments)
+                    self._add(arguments, known, entry)
+            return known.entry_point
 
-    def add_overload(self, cres: Any) -> None:
-        """Add compiled code, with a Python entry unless it is inner.
+    def _load(self, arguments: Any) -> Any:
+        """Compiled code from disk; None if it has to be compiled."""
+        if (found := self._cache.load_overload(arguments, self.targetctx)) is not None:
+            self._cache_hits[arguments] += 1
+        return found
+
+    def _compile(self, arguments: Any) -> Any:
+        """Code compiled now, and stored on disk.
 
         An error if it returns an array: no reference is counted, so the array would be freed while
         in use.
         """
-        returned = cres.signature.return_type
+        self._cache_misses[arguments] += 1
+        details = {"dispatcher": self, "args": arguments, "return_type": None}
+        with event.trigger_event("numba:compile", data=details):
+            made = self._compiler.compile(arguments, None)
+        returned = made.signature.return_type
         if not self.targetoptions.get("_nrt", True) and _holds_array(returned):
             raise TypingError(
                 f"kernel {self.py_func.__qualname__} returns {returned}; it may return no array"
             )
-        if self._inner:
-            self.overloads[tuple(cres.signature.args)] = cres
+        self._cache.save_overload(arguments, made)
+        return made
+
+    def _add(self, arguments: Any, made: Any, entry: bool) -> None:
+        if entry:
+            load_environments(made)
+            self.add_overload(made)
+            self._with_entry.add(arguments)
         else:
-            super().add_overload(cres)
+            self.overloads[arguments] = made
 
     def typeof_pyval(self, val: Any) -> Any:
         """Type of an argument; a read-only array has that of a writable one."""
@@ -175,29 +216,42 @@ def _writable(kind: Any) -> Any:
 
 
 @contextmanager
-def _compiling(slp: bool) -> Iterator[None]:
-    """Set numba's option for this compilation, and pause Python's cyclic garbage collector.
+def _compiling(slp: bool, entry: bool) -> Iterator[None]:
+    """Set the options of this compilation, and pause Python's cyclic garbage collector.
 
     The collector would traverse a million objects in use repeatedly.
     """
-    collects, before = gc.isenabled(), _CONFIG.SLP_VECTORIZE
+    collects, before = gc.isenabled(), (_CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry)
     gc.disable()
-    _CONFIG.SLP_VECTORIZE = slp
+    _CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry = slp, entry
     try:
         yield
     finally:
-        _CONFIG.SLP_VECTORIZE = before
+        _CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry = before
         if collects:  # not within the compilation of another kernel
             gc.enable()
 
 
+class _Wait:
+    """Time spent compiling in this process, s, and the number of compilations within each other."""
+
+    seconds = 0.0
+    depth = 0
+
+
 @contextmanager
 def _announced(function: _Kernel) -> Iterator[None]:
-    """Log, once, a compilation that took long."""
+    """Log, once, that compiling took long in all."""
     begun = time.monotonic()
-    yield
-    if function._cache_misses and time.monotonic() - begun > _PATIENCE:
-        _say_once()
+    _Wait.depth += 1
+    try:
+        yield
+    finally:
+        _Wait.depth -= 1
+    if function._cache_misses and _Wait.depth == 0:
+        _Wait.seconds += time.monotonic() - begun
+        if _Wait.seconds > _PATIENCE:
+            _say_once()
 
 
 @cache

@@ -25,7 +25,8 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import serialize
-from numba.core.compiler import CompileResult
+
+from .inner_code import rebuild
 
 try:
     import fcntl
@@ -34,7 +35,8 @@ except ImportError:  # not on Windows, where two processes may compile the same 
 
 _CONFIG: Any = numba.config
 _PACKAGE = Path(__file__).parent / "__pycache__"
-_COMPILING = [Path(__file__).with_name(name) for name in ("compilation.py", "kernel_cache.py")]
+_SOURCES = "compilation.py", "inner_code.py", "kernel_cache.py"
+_COMPILING = [Path(__file__).with_name(name) for name in _SOURCES]
 """Modules whose edits recompile every kernel."""
 _LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
 """Libraries identified by version; the code of all other modules is followed."""
@@ -58,7 +60,7 @@ class KernelCache:
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Compiled code for a signature; None if absent or damaged."""
         target_context.refresh()
-        if (path := self._path(sig)) is None:
+        if (path := self._paths[sig]) is None:
             return None
         try:
             content = path.read_bytes()
@@ -69,13 +71,13 @@ class KernelCache:
             if parts[_SIGNATURE].args != sig:  # from another class of the same name
                 return None
             os.utime(path)
-            return CompileResult._rebuild(target_context, *parts)
+            return rebuild(target_context, *parts)
         except Exception:  # no file, or it references a class that no longer exists
             return None
 
     def save_overload(self, sig: Any, compiled: Any) -> None:
         """Store compiled code, unless the disk is full or the folder does not exist."""
-        path = self._path(sig)
+        path = self._paths[sig]
         if path is None or compiled.lifted or compiled.library.has_dynamic_globals:
             return
         code = serialize.dumps(compiled._reduce())
@@ -88,9 +90,12 @@ class KernelCache:
                 part.unlink(missing_ok=True)
 
     @contextmanager
-    def exclusive(self, sig: Any) -> Iterator[None]:
-        """Let one process at a time compile a signature, so that others find its code."""
-        path = self._paths[sig] = self._path(sig)
+    def exclusive(self, sig: Any, entry: bool) -> Iterator[None]:
+        """Let one process at a time compile a signature, so that others find its code.
+
+        ``entry``: with an entry for Python; compiled code with and without it are two files.
+        """
+        path = self._paths[sig] = self._path(sig, entry)
         try:
             if fcntl is None or path is None or path.exists():
                 yield
@@ -100,15 +105,14 @@ class KernelCache:
         finally:
             del self._paths[sig]
 
-    def _path(self, sig: Any) -> Path | None:
+    def _path(self, sig: Any, entry: bool) -> Path | None:
         """File for a signature; None if no later process could find it."""
-        if sig in self._paths:
-            return self._paths[sig]
         kinds = [kind for argument in sig for kind in named_tuples(argument)]
         if (folder := _folder()) is None or any(kind.__module__ == "__main__" for kind in kinds):
             return None
         name = self._kernel.__name__.strip("<>")
-        return folder / f"{name}-{digest_of(self._kernel, sig)[:32]}.code"
+        kept = digest_of(self._kernel, sig)[:32]
+        return folder / f"{name}-{kept}{'-entry' if entry else ''}.code"
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..compilation import entry_point
 from ..graphs.edges import ARCS
 from ..graphs.random_graphs import CustomFamily
+from ..obstacles.fields import FieldRules
 from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
 from ..robots.events import draw_faults, fault_rules
@@ -103,6 +104,7 @@ class Episodes:
             failed = self._run(reset.draw_fields, lanes, which, trial, *streams, *given)
             if failed >= 0:
                 raise RuntimeError(self._no_room(failed))
+            self._close_seams(which, field)
         pending, further = which if rules.draw_positions else which[:0], 0
         while len(pending) and further < reset.MAX_CONNECTED:
             pending = self._draw_positions(pending, (trial, further), rules)
@@ -115,6 +117,15 @@ class Episodes:
         given = field.passage, state.robots, world, positions, work.chains, walled_in
         self._run(reset.check_passages, lanes, which, *given)
         return which[walled_in]
+
+    def _close_seams(self, which: NDArray[np.int64], field: Any) -> None:
+        """Close the seams between sampled discs or spheres; sampled walls have none."""
+        if isinstance(field, FieldRules):
+            dim, world = self._state.scenario.dim, self._state.obstacles
+            if dim == 2:
+                self._run(reset.close_disc_field_seams, which, world)
+            else:
+                self._run(reset.close_field_seams, which, dim, world)
 
     def _draw_positions(
         self, which: NDArray[np.int64], trials: tuple[int, int], rules: StartRules

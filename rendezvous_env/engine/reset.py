@@ -3,8 +3,8 @@
 Each is sampled from its own random stream by a separate kernel. The kernels are called in this
 order for all environments of a reset:
 
-    draw_graphs, draw_fields, draw_positions, check_connected, check_passages, draw_frames,
-    draw_memories, multiply_arcs
+    draw_graphs, draw_fields, close_field_seams, draw_positions, check_connected,
+    check_passages, draw_frames, draw_memories, multiply_arcs
 
 Kernels of quantities that a scenario does not sample are skipped. The subsequent observation
 computes the initial V.
@@ -16,7 +16,7 @@ from ..compilation import inner_kernel, kernel
 from ..graphs.edges import are_linked, store_links
 from ..graphs.random_graphs import draw_links, join
 from ..obstacles.fields import draw_obstacles
-from ..obstacles.obstacle_set import clear_of_obstacles
+from ..obstacles.obstacle_set import clear_of_obstacles, close_disc_seams, close_seams
 from ..obstacles.reachability import all_reachable
 from ..physics.potential import distance_squared
 from ..physics.random_streams import (
@@ -81,6 +81,20 @@ def draw_fields(lanes, which, trial, seeds, episodes, field, n_given, robots, ob
         if not draw_obstacles(key, field, positions, n_given, world):
             return b
     return -1
+
+
+@kernel
+def close_field_seams(which, dim, obstacles):
+    """Close the seams between the sampled spheres of environments; see ``close_seams``."""
+    for b in which:
+        close_seams(obstacles_of(obstacles, b), dim)
+
+
+@kernel
+def close_disc_field_seams(which, obstacles):
+    """Close the seams between the sampled discs of environments, in 2-D."""
+    for b in which:
+        close_disc_seams(obstacles_of(obstacles, b))
 
 
 @kernel

@@ -12,7 +12,7 @@ from ..limits import MAX_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .disc import BALL
-from .obstacle_set import clear, close_seams, distance_to
+from .obstacle_set import clear, distance_to
 from .shape import ABSENT, BOUND, MIDDLE, Drawn, Length, Range
 from .walls import WallField, WallRules, draw_walls
 
@@ -105,7 +105,7 @@ class FieldRules(NamedTuple):
 def draw_field(key, rules, starts, n_starts, world):
     """Sample the discs or spheres of one episode, with rejection.
 
-    If 1000 samples of one do not fit, it and the following ones are absent.
+    If 1000 samples of one do not fit, it and the following ones are absent. Seams stay open.
     """
     d = starts.shape[1]
     clear(world)
@@ -128,7 +128,6 @@ def draw_field(key, rules, starts, n_starts, world):
         if not placed:
             world.kinds[m] = ABSENT
             return False
-    close_seams(world, d)
     return True
 
 
@@ -152,6 +151,8 @@ Rules = FieldRules | WallRules
 @by_type("rules", lambda kind: draw_walls if kind is WallRules else draw_field)
 def draw_obstacles(key, rules, starts, n_starts, world):
     """Sample the obstacles of one episode into ``world``, obstacles of one environment.
+
+    Seams between discs or spheres stay open; see ``obstacle_set.close_seams``. Walls have none.
 
     Returns whether all fit, clear of the first ``n_starts`` initial positions (n, d), m.
     """

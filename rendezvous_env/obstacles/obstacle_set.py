@@ -209,6 +209,21 @@ def close_seams(world, dim):
                     _close(world, (j, k, m), dim)
 
 
+@kernel
+def close_disc_seams(world):
+    """``close_seams`` for discs in 2-D, where ρ of two discs has a closed form."""
+    world.skins[:] = 0.0
+    for m in range(world.kinds.shape[0]):
+        for k in range(m):
+            if world.kinds[k] != ABSENT and world.kinds[m] != ABSENT:
+                offset = subtract(centre_of_row(world.shapes[m]), centre_of_row(world.shapes[k]))
+                distance, one, other = norm(offset), world.shapes[k, BOUND], world.shapes[m, BOUND]
+                # at the point that is best for both discs; −min(R) if one disc contains the other
+                highest = max(0.5 * (distance - one - other), -min(one, other))
+                if -_OVERLAP < highest < _GAP:
+                    world.skins[k] = world.skins[m] = SKIN
+
+
 @inner_kernel
 def _near(world, k, m):
     """True if bounding balls leave at most a gap that is closed."""
@@ -405,7 +420,10 @@ def _skins_of(kinds: Any, corners: Any, shapes: Any, dim: int | None) -> NDArray
         table = kinds[which], corners[which], shapes[which]
         if before is None or not all(map(np.array_equal, table, before[0])):
             world = here(*table, np.zeros(len(present)))
-            close_seams(world, dim)
+            if dim == 2 and here is RoundObstacles:
+                close_disc_seams(world)
+            else:
+                close_seams(world, dim)
             before = table, world.skins
         skins[which] = before[1]
     return skins

@@ -15,6 +15,7 @@ from rendezvous_env import Capsule, Disc, Polygon, Sphere
 from rendezvous_env.obstacles.contact import IGNORE, SLIDE, STOP
 from rendezvous_env.obstacles.obstacle_set import (
     clear_of_obstacles,
+    close_seams,
     distance_to,
     is_hidden_by_obstacles,
     silhouette_2d,
@@ -104,6 +105,21 @@ class TestSkins:
         assert skins(tile(0, 0), tile(1 + gap, 0.3)) == [False, False]
         assert skins(Disc((0, 0), 1), Disc((3 + gap, 0), 2)) == [False, False]
         assert skins(Capsule(((0, 0), (0, 2)), 0.5), Disc((1.5 + gap, 1), 1)) == [False, False]
+
+    def test_closed_form_for_discs_agrees_with_general_shapes(self):
+        random, found = np.random.default_rng(5), []
+        for _ in range(300):
+            one, other = random.uniform(0.1, 2.0, 2)
+            gap = random.choice([-3e-6, -2e-6, -1e-6, 0.0, 1.5e-6, 2e-6, 1e-3, -2.5 * one])
+            c, s = math.cos(turn := random.uniform(0, 7)), math.sin(turn)
+            reach = max(one + other + gap, 0.0)
+            discs = [Disc((0.3, -0.2), one), Disc((0.3 + reach * c, -0.2 + reach * s), other)]
+            ours, general = world(discs), world(discs)
+            general.skins[:] = 0.5  # not a value of either
+            close_seams(general, 2)
+            np.testing.assert_array_equal(ours.skins, general.skins)
+            found.append(ours.skins.all())
+        assert 50 < sum(found) < 250
 
     def test_turned_tiles_of_any_size_have_one_if_they_meet(self):
         random = np.random.default_rng(0)

@@ -1,0 +1,111 @@
+"""Compiled code of kernels that only other kernels call.
+
+numba optimises each function and makes machine code of it. A kernel called by kernels alone needs
+neither: its code is linked into its callers, and optimised and made machine code there. It is a
+seventh of the time of compiling.
+"""
+
+from typing import Any
+
+import llvmlite.binding as llvm
+from numba import _dynfunc  # type: ignore[attr-defined]
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompileResult, _LowerResult, compile_result
+from numba.core.compiler_machinery import register_pass
+from numba.core.typed_passes import NativeLowering
+
+_LOWERING: Any = NativeLowering
+_LIBRARY: Any = JITCodeLibrary
+
+
+class InnerLibrary(_LIBRARY):
+    """Code to link into other libraries: never optimised as a whole, never machine code."""
+
+    def finalize(self) -> None:
+        """Link the libraries of all callees."""
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def serialize_using_object_code(self) -> Any:
+        """Bitcode, since there is no object code."""
+        return self.serialize_using_bitcode()
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class InnerLowering(_LOWERING):
+    """Lowering of a function into an ``InnerLibrary`` if it gets no entry for Python."""
+
+    _name = "inner_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """Lower a function; numba's own way if Python may call it."""
+        if not state.flags.no_cpython_wrapper:
+            return bool(super().run_pass(state))
+        state.library = InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        state.flags.no_compile = True
+        super().run_pass(state)
+        made = state["cr"]
+        mark = _mark(state.targetctx, made.fndesc, made.env, state.library)
+        state["cr"] = _LowerResult(made.fndesc, made.call_helper, cfunc=mark, env=made.env)
+        return True
+
+
+def lower_inner_kernels(pipelines: list[Any]) -> list[Any]:
+    """Pipelines of numba with its lowering replaced by ``InnerLowering``."""
+    for pipeline in pipelines:
+        steps = [(InnerLowering if a is _LOWERING else a, text) for a, text in pipeline.passes]
+        pipeline.passes[:] = steps
+        pipeline._finalized = False
+        pipeline.finalize()
+    return pipelines
+
+
+def rebuild(context: Any, library: Any, *parts: Any) -> Any:
+    """Compiled function from the parts that ``CompileResult._reduce`` gave.
+
+    Args:
+        context: numba's target context.
+        library: (name, kind, code); kind "bitcode" is an ``InnerLibrary``.
+        parts: all others.
+    """
+    name, kind, code = library
+    if kind != "bitcode":
+        found = CompileResult._rebuild(context, library, *parts)
+        context.insert_user_function(found.entry_point, found.fndesc, [found.library])
+        return found
+    made = InnerLibrary(context.codegen(), name)
+    made._final_module, made._finalized = llvm.parse_bitcode(code), True
+    fndesc, environment, signature, _, lifted, annotation, reload_init, referenced = parts
+    return compile_result(
+        target_context=context,
+        typing_context=context.typing_context,
+        library=made,
+        environment=environment,
+        entry_point=_mark(context, fndesc, environment, made),
+        fndesc=fndesc,
+        type_annotation=annotation,
+        signature=signature,
+        objectmode=False,
+        lifted=lifted,
+        reload_init=reload_init,
+        referenced_envs=referenced,
+    )
+
+
+def load_environments(compiled: Any) -> None:
+    """Give the callees within compiled code their environments, as numba does for each function."""
+    for environment in compiled._find_referenced_environments():
+        compiled.codegen.set_env(environment.env_name, environment)
+
+
+def _mark(context: Any, fndesc: Any, environment: Any, library: Any) -> Any:
+    """Object that stands for a function in numba's tables; Python cannot reach it to call it."""
+    name = fndesc.qualname.split(".")[-1]
+    mark = _dynfunc.make_function(
+        fndesc.lookup_module(), name, "kernel without entry", 0, environment, (library,)
+    )
+    context.insert_user_function(mark, fndesc, [library])
+    return mark
