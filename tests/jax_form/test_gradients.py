@@ -99,7 +99,8 @@ CONTACTS = {
 }
 
 
-@pytest.mark.parametrize("case", marked(CONTACTS, slow=CONTACTS.keys() - {"slide"}))
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CONTACTS)
 def test_gradients_through_contact_equal_differences(case, rj):
     """Each robot moves towards the middle of an obstacle, and past it."""
     import jax
