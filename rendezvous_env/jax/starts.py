@@ -147,4 +147,3 @@ class Starts:
         counters = jnp.asarray(pairs.reshape(n, n, *[1] * len(batch)))
         share = uniform(key, jnp.broadcast_to(counters, (n, n, *batch)), self._dtype)
         return self._given(self._base, batch) * (low + (high - low) * share)
-
