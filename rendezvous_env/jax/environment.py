@@ -38,7 +38,7 @@ from .imperfections import Sensor, delayed
 from .merging import Merging, Moving
 from .obstacles.contact import ObstacleContact
 from .obstacles.fields import Fields
-from .sensing import sense, sense_obstacles
+from .sensing import clearances, lyapunov, sense, sense_obstacles
 from .starts import Starts
 
 Info = dict[str, Array]
@@ -144,7 +144,9 @@ class RendezvousJaxEnv:
         self._contact: ObstacleContact | None = None
         if self._fields is not None and mode != IGNORE:
             self._contact = ObstacleContact(self._fields, self._model, mode, differentiable)
-        self._begin, self._go = jax.jit(self._begin_all), jax.jit(self._step_all)
+        # inlined in a caller's program, which XLA compiles faster than a nested one
+        self._begin = jax.jit(self._begin_all, inline=True)
+        self._go = jax.jit(self._step_all, inline=True)
 
     @property
     def observation_space(self) -> Space[Any]:
@@ -322,9 +324,19 @@ class RendezvousJaxEnv:
             costs["cost"] = sum(costs.values(), jnp.zeros_like(each["contact"]))
         return costs
 
-    def _closeness(self, state: State) -> Array:
-        """Σ_i max(0, 1 − clearance_i/range), see ``team_reward``."""
-        near = jnp.maximum(0.0, 1.0 - state.clearance / self.scenario.obstacle_range)
+    def _closeness(self, state: State, anew: bool = False) -> Array:
+        """Σ_i max(0, 1 − clearance_i/range), see ``team_reward``; 0 where it has no weight.
+
+        ``anew`` is whether the clearances have to be computed.
+        """
+        if self._fields is None or self.scenario.reward.clearance_penalty == 0.0:
+            return jnp.zeros_like(state.lyapunov)
+        clearance = state.clearance
+        if anew:
+            world = self._fields.world(state.obstacles, state.status.ndim)
+            active = state.merged_into == self._robots
+            clearance = clearances(self._fields.shapes, world, state.positions, active)
+        near = jnp.maximum(0.0, 1.0 - clearance / self.scenario.obstacle_range)
         return jnp.sum(near, axis=0)
 
     def _frames_of(self, state: State) -> Any:
@@ -395,21 +407,21 @@ class RendezvousJaxEnv:
         """
         changing = "positions", "frames", "memory", "weights", "obstacles"
         team = {name: getattr(state, name) for name in changing}
-        given = {"team": state, "episode": state.episode + 1}
         zero, seen = jnp.zeros_like(state.lyapunov), {}
         if self.final_obs:
             shape = (*(self.single_observation_space.shape or ()), *self._batch)
             seen = {"final_obs": jnp.zeros(shape, self._seen_as)}
 
-        def renew(given: Any) -> Any:
-            old = given["team"]
+        def renew(old: State) -> Any:
+            new = self._starts(old.seed, old.episode + 1)._asdict()
+            if not self.final_obs:
+                last = lyapunov(old.positions, old.weights), self._closeness(old, anew=True)
+                return last, new, {}
             rows, after = self._look(old, jnp.ones(old.status.shape, bool))
-            new = self._starts(old.seed, given["episode"])
-            told = {"final_obs": rows} if self.final_obs else {}
-            return (after.lyapunov, self._closeness(after)), new._asdict(), told
+            return (after.lyapunov, self._closeness(after)), new, {"final_obs": rows}
 
         otherwise = (zero, zero), team, seen
-        last, team, seen = for_teams(ended, renew, given, otherwise, self.differentiable)
+        last, team, seen = for_teams(ended, renew, state, otherwise, self.differentiable)
         state = state.replace(
             **team,
             merged_into=jnp.where(ended, self._robots, state.merged_into),
@@ -494,14 +506,13 @@ def make(
         num_envs: B environments, which is faster than ``vmap``; None for one without a batch axis.
             In the arrays of the state the environment axis is last.
         autoreset_mode: DISABLED, an environment that has ended stops; or SAME_STEP.
-        differentiable: whether gradients pass through merges, in loops of fixed length, and
-            actions and observations are not rounded to float32.
+        differentiable: whether gradients pass through merges and contacts, in loops of fixed
+            length, and actions and observations are not rounded to float32.
         final_obs: whether infos contain the last observation of episodes that end.
         **options: fields of the scenario to change, and settings of the filter.
 
     Raises:
-        NotImplementedError: naming a field that the JAX form does not cover. Obstacles with which
-            robots have contact are not differentiable.
+        NotImplementedError: naming a field that the JAX form does not cover.
         TypeError: for an unknown option, with the nearest known one.
         ValueError: for an invalid value.
     """
@@ -516,9 +527,6 @@ def make(
     mode = _autoreset_mode(autoreset_mode)
     if mode is AutoresetMode.NEXT_STEP:
         raise_not_covered("autoreset_mode", str(mode))
-    contact = resolved.observation_layout.obstacle_slots and resolved.obstacle_contact != "ignore"
-    if flag("differentiable", differentiable) and contact:
-        raise_not_covered("differentiable", "True with contact at obstacles")
     if num_envs is not None:
         check_int("num_envs", num_envs, 1, MAX_TEAMS)
     safety_filter = None
@@ -529,6 +537,6 @@ def make(
         safety_filter,
         num_envs,
         mode is AutoresetMode.SAME_STEP,
-        differentiable,
+        flag("differentiable", differentiable),
         flag("final_obs", final_obs),
     )

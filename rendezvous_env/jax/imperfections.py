@@ -18,7 +18,7 @@ from ..sensors import chance
 from ..sensors.imperfections import imperfections_of, is_in_view, is_seen
 from ..sensors.sensing import Sensing
 from .arrays.array_form import Array, array_form, replaces
-from .arrays.random_streams import Word, exclusive_or, mix, stream_key, times, word, word_of
+from .arrays.random_streams import Word, exclusive_or, mix, stream_keys, times, word, word_of
 
 COVERED = ("range", "field_of_view", "noise", "bias", "dropout", "delay", "delay_time")
 """Fields of ``Sensing`` that the JAX form covers."""
@@ -72,45 +72,46 @@ class Sensor:
 
     def keys(self, seed: Array, episode: Array, step: Array) -> Keys:
         """Keys of seeds (2, *batch), episodes and steps (*batch)."""
-        key = stream_key((seed[0], seed[1]), episode, SENSING)
+        (key,) = stream_keys((seed[0], seed[1]), episode, SENSING)
         count = (step + 1).astype(jnp.uint32)
         product = times((jnp.zeros_like(count), count), word(int(chance._STEP)))
         return Keys(key, mix(exclusive_or(key, product)))
 
-    def neighbours(self, robot: Any, rows: Array, offset: Any, frame: Any, keys: Keys) -> Array:
-        """Rows (n, d, *batch) of all robots, as one robot observes them.
+    def neighbours(self, rows: Array, offset: Any, frame: Any, keys: Keys) -> Array:
+        """Rows (n, n, d, *batch) of all pairs, as the first of each pair observes them.
 
-        Offsets in the global frame, m, are tuples of (n, *batch), the frame one of (*batch).
+        Offsets in the global frame, m, are tuples of (n, n, *batch), frames of (n, 1, *batch).
         """
         errors = self._errors
         if np.isfinite(errors.reach) or errors.half_field < np.pi:
             seen = array_form(is_seen)(offset, frame, errors.reach, errors.half_field)
-            rows = jnp.where(seen[:, None], rows, 0.0)
-        shape = (-1, *[1] * (rows.ndim - 2))
-        couple = jnp.asarray(self._couples)[robot].reshape(shape) * np.uint32(DRAWS)
-        second = jnp.asarray(self._second)[robot].reshape(shape)
+            rows = jnp.where(seen[:, :, None], rows, 0.0)
+        shape = self._n, self._n, *[1] * (rows.ndim - 3)
+        couple = jnp.asarray(self._couples.reshape(shape) * np.uint32(DRAWS))
+        second = self._second.reshape(shape)
         if errors.dropout > 0.0:
             upper, lower = word_of(keys.step, couple + np.uint32(2))
             missed = jnp.where(second, lower, upper) <= highest_word(errors.dropout)
-            rows = jnp.where(missed[:, None], 0.0, rows)
+            rows = jnp.where(missed[:, :, None], 0.0, rows)
         return self._turned(rows, couple, second, keys)
 
-    def obstacles(self, robot: Any, rows: Array, keys: Keys) -> Array:
-        """Edge points (M, S, d, *batch) of obstacles, as one robot observes them."""
+    def obstacles(self, rows: Array, keys: Keys) -> Array:
+        """Edge points (n, M, S, d, *batch) of obstacles, as the robots observe them."""
         if self._errors.half_field < np.pi:
-            exact = tuple(rows[:, :, k].astype(jnp.result_type(float)) for k in range(self._dim))
-            in_view = array_form(is_in_view)(exact, self._errors.half_field)
-            exists = jnp.any(rows != 0.0, axis=2)
-            rows = jnp.where(jnp.any(in_view & exists, axis=1)[:, None, None], rows, 0.0)
-        flat = rows.reshape(-1, *rows.shape[2:])
-        shape = (-1, *[1] * (flat.ndim - 2))
-        points = np.arange(self._slots * self._points).reshape(shape)
-        first = self._n * (self._n - 1) // 2 + (robot * self._slots * self._points + points) // 2
-        couple = jnp.asarray(first).astype(jnp.uint32) * np.uint32(DRAWS)
-        return self._turned(flat, couple, points % 2 == 1, keys).reshape(rows.shape)
+            exact = rows.astype(jnp.result_type(float))
+            parts = tuple(exact[:, :, :, k] for k in range(self._dim))
+            in_view = array_form(is_in_view)(parts, self._errors.half_field)
+            exists = jnp.any(rows != 0.0, axis=3)
+            rows = jnp.where(jnp.any(in_view & exists, axis=2)[:, :, None, None], rows, 0.0)
+        count = self._slots * self._points
+        flat = rows.reshape(self._n, count, *rows.shape[3:])
+        points = np.arange(self._n * count).reshape(self._n, count, *[1] * (flat.ndim - 3))
+        first = self._n * (self._n - 1) // 2 + points // 2
+        couple = jnp.asarray((first * DRAWS).astype(np.uint32))
+        return self._turned(flat, couple, points % count % 2 == 1, keys).reshape(rows.shape)
 
     def _turned(self, rows: Array, couple: Any, second: Any, keys: Keys) -> Array:
-        """Rows (N, d, *batch), rotated by bias and noise."""
+        """Rows (n, N, d, *batch), rotated by bias and noise."""
         for deviation, key in ((self._errors.bias, keys.episode), (self._errors.noise, keys.step)):
             if deviation > 0.0:
                 rows = self._rotated(rows, np.float32(deviation), couple, second, key)
@@ -124,10 +125,10 @@ class Sensor:
             angle, other = jnp.where(second, lower, upper), upper
         else:
             angle, other = word_of(key, couple + jnp.where(second, jnp.uint32(1), jnp.uint32(0)))
-        row = tuple(rows[:, k] for k in range(self._dim))
+        row = tuple(rows[:, :, k] for k in range(self._dim))
         small = bool(chance.is_small(deviation))
         turned = array_form(chance.turned_by_chance)(row, deviation, small, angle, other)
-        return jnp.stack(turned, axis=1)
+        return jnp.stack(turned, axis=2)
 
 
 def delayed(past: Array, rows: Array, begins: Array, advances: Array) -> tuple[Array, Array]:

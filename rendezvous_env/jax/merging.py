@@ -3,7 +3,6 @@
 Arrays have the environment axis last: positions (n, d, *batch), weights (n, n, *batch), and so on.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -52,19 +51,32 @@ class Merging:
         self._first, self._second = np.triu_indices(n, 1)
 
     def __call__(self, moving: Moving) -> Moving:
-        """Move robots by their displacements and merge those that come within r (theory 5)."""
-        moving, _ = self._repeat(self._merge_first, (moving, self._moments(moving)))
-        moving = moving._replace(positions=moving.positions + moving.displacements)
-        moving, _ = self._repeat(self._merge_nearest, (moving, self._squares(moving)))
-        return moving._replace(obstacles=())
+        """Move robots by their displacements and merge those that come within r (theory 5).
 
-    def _repeat(self, merge: Callable[[Any, Array], Any], begun: Any) -> Any:
-        """Merge until the keys of all pairs are inf, so that no pair is due."""
-        if self._bounded:
-            return jax.lax.fori_loop(0, self._n - 1, lambda _, now: merge(*now), begun)
-        return jax.lax.while_loop(
-            lambda now: jnp.any(now[1] < jnp.inf), lambda now: merge(*now), begun
-        )
+        First those pairs merge that meet on their paths; then, at the end, those within r.
+        """
+        batch = moving.positions.shape[2:]
+        begun = moving, self._moments(moving), jnp.zeros(batch, bool), jnp.ones(batch, bool)
+
+        def go(now: Any) -> Any:
+            moving, keys, arrived, busy = now
+            moving, keys, merged = self._merge_next(moving, keys, arrived, busy)
+            arrives = busy & ~arrived & ~jnp.any(keys < jnp.inf, axis=0)
+            left = moving.displacements
+            moving = moving._replace(
+                positions=moving.positions + jnp.where(arrives, left, 0.0),
+                displacements=jnp.where(arrives, 0.0, left),
+            )
+            changed = arrives | (arrived & merged)  # which also changes what pairs are hidden
+            keys = jnp.where(changed, self._squares(moving), keys)
+            return moving, keys, arrived | arrives, busy & jnp.any(keys < jnp.inf, axis=0)
+
+        if self._bounded:  # a pass merges a pair, or has robots arrive, or finds a hidden pair
+            passes = self._n + (0 if self._through else len(self._first))
+            moving = jax.lax.fori_loop(0, passes, lambda _, now: go(now), begun)[0]
+        else:
+            moving = jax.lax.while_loop(lambda now: jnp.any(now[-1]), go, begun)[0]
+        return moving._replace(obstacles=())
 
     def _links(self, weights: Array) -> Array:
         """Whether either robot of each pair observes the other, (E, *batch)."""
@@ -89,34 +101,29 @@ class Merging:
         due = self._links(moving.weights) & (squares < self._radius * self._radius)
         return jnp.where(due, squares, jnp.inf)
 
-    def _merge_first(self, moving: Moving, moments: Array) -> tuple[Moving, Array]:
-        """Merge the pair that meets first; both rest for the remainder of the step."""
-        pair, moment = jnp.argmin(moments, axis=0), jnp.min(moments, axis=0)
-        due = moment < jnp.inf
-        moment = jnp.where(due, moment, 0.0)
+    def _merge_next(
+        self, moving: Moving, keys: Array, arrived: Array, busy: Array
+    ) -> tuple[Moving, Array, Array]:
+        """Merge the pair that meets first, or after arrival the closest.
+
+        Both rest for the remainder of the step. Also returns the remaining keys, and whether a pair
+        has merged, (*batch).
+        """
+        pair, key = jnp.argmin(keys, axis=0), jnp.min(keys, axis=0)
+        due = busy & (key < jnp.inf)
+        moment = jnp.where(due & ~arrived, key, 0.0)
         here = moving.positions + moment * moving.displacements
         hidden = self._is_hidden(moving, here, pair) & due
         due &= ~hidden
         moving, merging = self._merge(moving, here, pair, due)
         moving = moving._replace(
             displacements=jnp.where(merging[:, None], 0.0, moving.displacements),
-            lengths=jnp.where(merging, moving.lengths * moment, moving.lengths),
+            lengths=jnp.where(merging & ~arrived, moving.lengths * moment, moving.lengths),
         )
         rests = merging[self._first] | merging[self._second]
         if not self._through:
             rests |= self._numbers(pair) & hidden
-        return moving, jnp.where(rests, jnp.inf, moments)
-
-    def _merge_nearest(self, moving: Moving, squares: Array) -> tuple[Moving, Array]:
-        """Merge the shortest link of those shorter than r."""
-        due, pair = jnp.min(squares, axis=0) < jnp.inf, jnp.argmin(squares, axis=0)
-        hidden = self._is_hidden(moving, moving.positions, pair) & due
-        moving, _ = self._merge(moving, moving.positions, pair, due & ~hidden)
-        after = self._squares(moving)
-        if not self._through:  # a merge changes which pairs are hidden
-            others = jnp.where(self._numbers(pair), jnp.inf, squares)
-            after = jnp.where(hidden, others, after)
-        return moving, after
+        return moving, jnp.where(rests, jnp.inf, keys), due
 
     def _numbers(self, pair: Array) -> Array:
         """Whether each pair is this one, (E, *batch)."""

@@ -1,14 +1,10 @@
-"""Sensing: rows of bearings, V, and the closest pair.
+"""Sensing: rows of bearings, V, clearances, and the closest pair, of all robots at once.
 
-Positions are (n, d, *batch), frames (n, d·d, *batch), weights (n, n, *batch). The rows of
-one robot are computed at once. The loop over robots is unrolled for a few of them; for many,
-unrolled code would take long to compile.
+Positions are (n, d, *batch), frames (n, d·d, *batch), weights (n, n, *batch).
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from ..physics.potential import observed, sighting
@@ -16,8 +12,6 @@ from ..physics.vectors import local_axis, to_local
 from .arrays.array_form import Array, array_form
 from .imperfections import Sensor
 from .obstacles.shapes import Shapes, World
-
-_MOST_WRITTEN_OUT = 16  # robots
 
 
 class Sight(NamedTuple):
@@ -27,6 +21,22 @@ class Sight(NamedTuple):
     lyapunov: Array  # (*batch), V, m²/s
     closest: Array  # (*batch), the least square distance of neighbours, m²; inf without any
     net_bearings: Array  # (n, d, *batch), f_i in the global frame, m/s
+
+
+def _pairs(positions: Array, weights: Array) -> tuple[Any, Array, Array, Array]:
+    """``sighting`` of all pairs: p_j − p_i, and arrays (n, n, *batch)."""
+    axes = range(positions.shape[1])
+    own = tuple(positions[:, None, k] for k in axes)
+    return array_form(sighting)(own, tuple(positions[None, :, k] for k in axes), weights)
+
+
+def lyapunov(positions: Array, weights: Array) -> Array:
+    """V = Σᵢ Σⱼ aᵢⱼ ‖pⱼ − pᵢ‖, (*batch), m²/s."""
+    return _lyapunov(weights, _pairs(positions, weights)[2])
+
+
+def _lyapunov(weights: Array, distance: Array) -> Array:
+    return jnp.sum(jnp.sum(weights * distance, axis=1), axis=0)
 
 
 def sense(
@@ -42,36 +52,24 @@ def sense(
 
     Rows are of this type. An imperfect ``sensor`` uses the keys of its streams.
     """
-    n, d = positions.shape[:2]
-    everyone = tuple(positions[:, k] for k in range(d))
-
-    def look(robot: Any) -> tuple[Array, Array, Array, Array]:
-        i, place, frame, gains = robot
-        offset, square, distance, factor = array_form(sighting)(tuple(place), everyone, gains)
-        seen = jnp.stack(array_form(observed)(tuple(frame), offset, factor), axis=1)
-        seen, there = seen.astype(dtype), gains > 0.0
-        if sensor is not None:
-            seen = sensor.neighbours(i, seen, offset, tuple(frame), keys)
-            there = jnp.any(seen != 0.0, axis=1)
-        others = _without(i, seen)
-        if slots < n - 1:
-            others = _packed(others, _without(i, there), slots)
-        near = jnp.where(gains > 0.0, square, jnp.inf)
-        net = jnp.stack([jnp.sum(factor * part, axis=0) for part in offset])
-        return others, jnp.sum(gains * distance, axis=0), jnp.min(near, axis=0), net
-
-    robots = jnp.arange(n), positions, frames, weights
-    rows, shares, nearest, net = _for_each_robot(look, robots)
-    return Sight(rows, jnp.sum(shares, axis=0), jnp.min(nearest, axis=0), net)
+    offset, square, distance, factor = _pairs(positions, weights)
+    frame = tuple(frames[:, None, k] for k in range(frames.shape[1]))
+    rows = jnp.stack(array_form(observed)(frame, offset, factor), axis=2).astype(dtype)
+    there = weights > 0.0
+    if sensor is not None:
+        rows = sensor.neighbours(rows, offset, frame, keys)
+        there = jnp.any(rows != 0.0, axis=2)
+    others = _others(rows)
+    if slots < len(positions) - 1:
+        others = _packed(others, _others(there), slots)
+    closest = jnp.min(jnp.where(weights > 0.0, square, jnp.inf), axis=(0, 1))
+    net = jnp.stack([jnp.sum(factor * part, axis=1) for part in offset], axis=1)
+    return Sight(others, _lyapunov(weights, distance), closest, net)
 
 
-def _for_each_robot(look: Callable[[Any], Any], robots: Any) -> Any:
-    """Results of each robot, stacked; arrays of ``robots`` have the robots first."""
-    n = len(robots[0])
-    if n > _MOST_WRITTEN_OUT:
-        return jax.lax.map(look, robots)
-    looks = [look((i, *(array[i] for array in robots[1:]))) for i in range(n)]
-    return tuple(jnp.stack(parts) for parts in zip(*looks, strict=True))
+def clearances(shapes: Shapes, world: World, positions: Array, active: Array) -> Array:
+    """Distance to the nearest obstacle, (n, *batch), m; inf for inactive robots."""
+    return jnp.min(_distances(shapes, _of_robots(world), positions, active), axis=0)
 
 
 def sense_obstacles(
@@ -88,43 +86,54 @@ def sense_obstacles(
 ) -> tuple[Array, Array]:
     """Observe the obstacles within ``reach``, m.
 
-    Returns rows (n, M·S, d, *batch) of unit bearings in the robots' frames, and distances to the
-    nearest obstacle, (n, *batch), m; inf for inactive robots.
+    Returns rows (n, M·S, d, *batch) of unit bearings in the robots' frames, and ``clearances``.
     """
     n, d = positions.shape[:2]
-
-    def look(robot: Any) -> tuple[Array, Array]:
-        i, place, frame, is_active, bearing = robot
-        zero = jnp.zeros_like(place[0])
-        point, entries = (*place, zero)[:3], tuple(frame)
-        distance = jnp.where(is_active, shapes.distances(world, point), jnp.inf)
-        axes = [array_form(local_axis)(entries, k) for k in range(2)] if d == 3 else ()
-        seen = shapes.silhouettes(world, point, tuple(bearing), axes)
-        local = [array_form(to_local)(entries, one[:d]) for one in seen]
-        rows = jnp.stack([jnp.stack(one, axis=1) for one in local], axis=1)  # (M, S, d, *batch)
-        rows = jnp.where((distance <= reach)[:, None, None], rows, 0.0).astype(dtype)
-        if sensor is not None:
-            rows = sensor.obstacles(i, rows, keys)
-        return rows.reshape(-1, *rows.shape[2:]), jnp.min(distance, axis=0)
-
-    rows, clearance = _for_each_robot(look, (jnp.arange(n), positions, frames, active, net))
-    return rows, clearance
+    world = _of_robots(world)
+    distance = _distances(shapes, world, positions, active)  # (M, n, *batch)
+    frame, bearing = (tuple(a[:, k] for k in range(a.shape[1])) for a in (frames, net))
+    axes = [array_form(local_axis)(frame, k) for k in range(2)] if d == 3 else ()
+    seen = shapes.silhouettes(world, _points(positions), bearing, axes)
+    local = [jnp.stack(array_form(to_local)(frame, one[:d]), axis=2) for one in seen]
+    rows = jnp.swapaxes(jnp.stack(local, axis=2), 0, 1)  # (n, M, S, d, *batch)
+    near = jnp.swapaxes(distance <= reach, 0, 1)
+    rows = jnp.where(near[:, :, None, None], rows, 0.0).astype(dtype)
+    if sensor is not None:
+        rows = sensor.obstacles(rows, keys)
+    return rows.reshape(n, -1, *rows.shape[3:]), jnp.min(distance, axis=0)
 
 
-def _without(i: Any, values: Array) -> Array:
-    """Values (n, …) of all robots but i."""
-    if isinstance(i, int):
-        return jnp.concatenate([values[:i], values[i + 1 :]])
-    before = jnp.arange(len(values) - 1) < i
-    return jnp.where(before.reshape(-1, *[1] * (values.ndim - 1)), values[:-1], values[1:])
+def _of_robots(world: World) -> World:
+    """Obstacles (…, *batch) with an axis for the robots before the batch."""
+    present, shapes, skins = world
+    return World(present[:, None], shapes[:, :, None], skins[:, None])
+
+
+def _points(positions: Array) -> Any:
+    """Positions as a triple of (n, *batch)."""
+    parts = tuple(positions[:, k] for k in range(positions.shape[1]))
+    return (*parts, jnp.zeros_like(parts[0]))[:3]
+
+
+def _distances(shapes: Shapes, world: World, positions: Array, active: Array) -> Array:
+    return jnp.where(active, shapes.distances(world, _points(positions)), jnp.inf)
+
+
+def _others(values: Array) -> Array:
+    """Entries of pairs (n, n, …) without those of a robot and itself, (n, n − 1, …).
+
+    In a flat list of all pairs the diagonal is every (n + 1)-th entry.
+    """
+    n, *rest = values.shape[1:]
+    flat = values.reshape(n * n, *rest)[1:].reshape(n - 1, n + 1, *rest)
+    return flat[:, :-1].reshape(n, n - 1, *rest)
 
 
 def _packed(rows: Array, seen: Array, slots: int) -> Array:
     """Move the rows of neighbours to the first slots, in the order of their indices."""
-    place = jnp.cumsum(seen, axis=0) - 1
-    return jnp.stack(
-        [
-            jnp.sum(jnp.where((seen & (place == slot))[:, None], rows, 0.0), axis=0)
-            for slot in range(slots)
-        ]
-    )
+    place = jnp.cumsum(seen, axis=1) - 1
+    each = [
+        jnp.sum(jnp.where((seen & (place == slot))[:, :, None], rows, 0.0), axis=1)
+        for slot in range(slots)
+    ]
+    return jnp.stack(each, axis=1)

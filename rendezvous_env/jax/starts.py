@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from ..engine.preparation import start_rules
 from ..engine.reset import _MAX_DRAWS
 from ..graphs.edges import pair_index
-from ..physics.random_streams import FRAMES, GRAPH, START, draw_rotation
+from ..physics.random_streams import FRAMES, GRAPH, OBSTACLES, START, draw_rotation
 from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .arrays.array_form import Array, array_form
-from .arrays.random_streams import Word, stream_key, uniform
+from .arrays.random_streams import Numbers, Word, numbers, stream_keys, uniform
 from .obstacles.fields import Fields
 
 
@@ -44,18 +44,26 @@ class Starts:
     def __call__(self, seed: Array, episode: Array) -> Start:
         """Sample initial conditions of episodes (*batch) of seeds (2, *batch)."""
         words, batch = (seed[0], seed[1]), episode.shape
+        purposes = START, FRAMES, GRAPH, OBSTACLES
+        positions, frames, weights, field = stream_keys(words, episode, *purposes)
         obstacles: Any = ()
         if self._fields is not None and self._fields.fixed is None:
             given = self._scenario.start_positions
             starts = None if given is None else self._given(given, batch)
-            obstacles = self._fields.draw(words, episode, starts)
+            obstacles = self._fields.draw(field, batch, starts)
+        drawn = self._numbers(frames, batch)
         return Start(
-            self._positions(stream_key(words, episode, START), obstacles, batch),
-            self._frames(stream_key(words, episode, FRAMES), batch),
-            self._memory(stream_key(words, episode, FRAMES), batch),
-            self._weights(stream_key(words, episode, GRAPH), batch),
+            self._positions(positions, obstacles, batch),
+            self._frames(drawn, batch),
+            self._memory(drawn, batch),
+            self._weights(weights, batch),
             obstacles,
         )
+
+    def _numbers(self, key: Word, batch: tuple[int, ...]) -> Numbers:
+        """Three numbers for each robot, (3, n, *batch)."""
+        first = self._given(3 * np.arange(self._scenario.n_robots), batch).astype(jnp.uint32)
+        return numbers(key, first, 3, self._dtype)
 
     def _given(self, table: Any, batch: tuple[int, ...]) -> Array:
         rows = jnp.asarray(np.array(table), self._dtype)
@@ -71,21 +79,19 @@ class Starts:
             return self._given(scenario.start_positions, batch)
         n, d = scenario.n_robots, scenario.dim
         robots = np.arange(n).reshape(n, *[1] * len(batch))
+        edges = np.array(rules.spawn_edges[:d], self._dtype).reshape(d, *[1] * len(batch))
         near, linked = rules.least_distance**2, jnp.asarray(self._linked)
 
         def needs_more(drawn: Any) -> Array:
-            _, robot, _, tries = drawn
+            _, robot, _, tries, _ = drawn
             return jnp.any((robot < n) & (tries < _MAX_DRAWS))
 
+        def sampled(counter: Array) -> Array:
+            return edges * (numbers(key, counter, d, self._dtype).values - 0.5)
+
         def draw(drawn: Any) -> Any:
-            positions, robot, counter, tries = drawn
+            positions, robot, counter, tries, place = drawn
             busy = (robot < n) & (tries < _MAX_DRAWS)
-            place = jnp.stack(
-                [
-                    rules.spawn_edges[axis] * (uniform(key, counter + axis, self._dtype) - 0.5)
-                    for axis in range(d)
-                ]
-            )
             square = sum((positions[:, axis] - place[axis]) ** 2 for axis in range(d))
             others = jnp.moveaxis(linked[jnp.minimum(robot, n - 1)], -1, 0) & (robots < robot)
             kept = busy & ~jnp.any(others & (square < near), axis=0)
@@ -96,28 +102,24 @@ class Starts:
             mine = (robots == robot) & kept
             positions = jnp.where(mine[:, None], place[None], positions)
             tries = jnp.where(kept, 0, tries + busy)
-            return positions, robot + kept, counter + d * busy, tries
+            counter = counter + d * busy
+            return positions, robot + kept, counter, tries, sampled(counter)
 
         none = jnp.zeros(batch, jnp.int32)
-        begun = jnp.zeros((n, d, *batch), self._dtype), none, none, none
+        begun = jnp.zeros((n, d, *batch), self._dtype), none, none, none, sampled(none)
         positions, robot, *_ = jax.lax.while_loop(needs_more, draw, begun)
         return jnp.where(robot < n, jnp.nan, positions)
 
-    def _frames(self, key: Word, batch: tuple[int, ...]) -> Array:
+    def _frames(self, drawn: Numbers, batch: tuple[int, ...]) -> Array:
         """Uniform rotations, or the identity."""
         n, d = self._scenario.n_robots, self._scenario.dim
         if self._scenario.model.n_angles:
             return jnp.zeros((n, 0, *batch), self._dtype)
         if not self._rules.draw_frames:
             return self._given(np.tile(np.eye(d).ravel(), (n, 1)), batch)
-        drawn = array_form(draw_rotation)(key, self._counters(batch), range(d))
-        return jnp.stack(drawn, axis=1)
+        return jnp.stack(array_form(draw_rotation)(drawn, 0, range(d)), axis=1)
 
-    def _counters(self, batch: tuple[int, ...]) -> Array:
-        """3i of each robot i, (n, *batch)."""
-        return self._given(3 * np.arange(self._scenario.n_robots), batch).astype(jnp.uint32)
-
-    def _memory(self, key: Word, batch: tuple[int, ...]) -> Array:
+    def _memory(self, drawn: Numbers, batch: tuple[int, ...]) -> Array:
         """Angles and velocities."""
         scenario = self._scenario
         n, size = scenario.n_robots, scenario.model.memory_size(scenario.dim)
@@ -125,8 +127,10 @@ class Starts:
             return jnp.zeros((n, 0, *batch), self._dtype)
         if scenario.start_headings is not None:
             return self._given(scenario.start_headings, batch)
-        drawn = _memory(constants_of(scenario), key, self._counters(batch), self._dtype)
-        return jnp.stack(drawn, axis=1)
+        sampled = array_form(init_memory)(constants_of(scenario), drawn, 0)
+        shape, dtype = (n, *batch), self._dtype
+        each = [jnp.broadcast_to(jnp.asarray(value, dtype), shape) for value in sampled]
+        return jnp.stack(each, axis=1)
 
     def _weights(self, key: Word, batch: tuple[int, ...]) -> Array:
         """a_ij, sampled from their range: both of a pair use one number of the stream."""
@@ -143,9 +147,3 @@ class Starts:
         counters = jnp.asarray(pairs.reshape(n, n, *[1] * len(batch)))
         share = uniform(key, jnp.broadcast_to(counters, (n, n, *batch)), self._dtype)
         return self._given(self._base, batch) * (low + (high - low) * share)
-
-
-def _memory(model: Any, key: Word, counter: Array, dtype: Any) -> Any:
-    """``init_memory`` of the model at counters of a stream."""
-    sampled = array_form(init_memory)(model, key, counter)
-    return [jnp.broadcast_to(jnp.asarray(value, dtype), counter.shape) for value in sampled]

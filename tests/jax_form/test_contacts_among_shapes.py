@@ -12,6 +12,7 @@ from rendezvous_env.obstacles.contact import SLIDE, STOP, move_straight
 from rendezvous_env.obstacles.obstacle_set import SKIN
 
 WORLDS = {
+    "discs": [rv.Disc((-1.0, 0.3), 0.9), rv.Disc((1.2, -0.4), 1.1)],
     "mixed": [
         rv.Capsule(((-1.0, -1.0), (1.0, 1.5)), 0.4),
         rv.Disc((1.5, -1.0), 0.6),
@@ -80,6 +81,55 @@ def test_contacts_equal_the_kernels(name, mode, rj):
     # on the surface of a skin rounding decides, and the compiler may contract products and sums
     assert (apart < 1e-9).mean() > 0.99 and apart.max() < SKIN
     assert 50 < np.sum(met) < len(points)
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        ("discs", SLIDE),
+        pytest.param("mixed", SLIDE, marks=pytest.mark.slow),
+        pytest.param("mixed", STOP, marks=pytest.mark.slow),
+        pytest.param("space", SLIDE, marks=pytest.mark.slow),
+    ],
+)
+def test_gradients_of_contacts_equal_differences(name, mode, rj):
+    """Where differences on both sides agree, so that no decision changes; elsewhere finite."""
+    import jax
+    import jax.numpy as jnp
+
+    contact = importlib.import_module("rendezvous_env.jax.obstacles.contact")
+    fields, world = fields_of(name)
+    dim, rng, h = WORLDS[name][0].dim, np.random.default_rng(0), 1e-5
+    given = np.array([rng.uniform(-2.5, 2.5, (3, 400)), rng.uniform(-1.0, 1.0, (3, 400))])
+    given[:, dim:] = 0.0
+    for k in range(0, 100, 2):  # on a surface
+        given[0, :, k] = obstacle_set.push_out(tuple(given[0, :, k]), world, -1e-13)[1]
+    move = contact.Contact(fields.shapes, mode, bounded=True).move_straight
+    factors = rng.uniform(0.5, 1.0, 3)
+
+    def along(given):
+        met, executed = move(fields.world(None, 1), tuple(given[0]), tuple(given[1]))
+        return sum(f * part for f, part in zip(factors, executed, strict=True)), met
+
+    value = jax.jit(lambda given: along(given)[0])
+    slopes, met = jax.jit(jax.grad(lambda given: (lambda a, m: (a.sum(), m))(*along(given)),
+                                   has_aux=True))(jnp.asarray(given))  # fmt: skip
+    assert np.isfinite(slopes).all()
+    smooth, outside = np.array(met), np.isfinite(given[0, 0])
+    for m in range(len(world.kinds)):
+        outside &= [obstacle_set.distance_to(world, m, tuple(p)) > -1e-12 for p in given[0].T]
+    smooth &= outside
+    found = np.zeros((2, dim, 400))
+    for part, axis in np.ndindex(2, dim):
+        step = np.zeros_like(given)
+        step[part, axis] = h
+        ahead, here, behind = (value(given + k * step) for k in (1, 0, -1))
+        found[part, axis] = (ahead - behind) / (2 * h)
+        smooth &= np.abs(ahead - 2 * here + behind) < 1e-4 * h
+    np.testing.assert_allclose(
+        slopes[:, :dim, smooth], found[..., smooth], rtol=1e-4, atol=1e-4
+    )
+    assert smooth.sum() > 20, "hardly a contact"
 
 
 def test_pairs_behind_obstacles_do_not_merge(rj):

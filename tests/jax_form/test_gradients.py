@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from parameters import marked
 
+import rendezvous_env as rv
+
 MODELS = {
     "single integrators": ("cloud-8", {"dim": 2}),
     "single integrators in 3-D": ("cloud-8", {}),
@@ -79,3 +81,68 @@ def test_gradient_of_edge_weights_and_meeting_time_equals_differences(rj):
         step = h * np.eye(3)[k]
         difference = (value(edges + step) - value(edges - step)) / (2 * h)
         assert slope[k] == pytest.approx(float(difference), rel=1e-4, abs=1e-7)
+
+
+SHAPES = [
+    rv.Disc((0.2, 0.3), 0.6),
+    rv.Capsule(((-1.5, -1.2), (-0.6, -1.4)), 0.3),
+    rv.Polygon(((0.9, -1.2), (1.6, -1.0), (1.3, -0.3))),
+]
+BALLS = [rv.Sphere((0.2, 0.3, 0.0), 0.6), rv.Capsule(((-1.0, -1.0, 0.0), (-0.6, -1.4, 0.3)), 0.4)]
+AMONG = {"n_robots": 3, "spawn_size": 4.0, "obstacles": SHAPES, "max_speed": 1.0}
+CONTACTS = {
+    "slide": ("duo", AMONG),
+    "stop": ("duo", {**AMONG, "obstacle_contact": "stop"}),
+    "slide in space": ("duo", {**AMONG, "dim": 3, "obstacles": BALLS}),
+    "unicycles": ("unicycle-6", AMONG),
+    "inertia": ("duo", {**AMONG, "robot_model": "double_integrator"}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CONTACTS)
+def test_gradients_through_contact_equal_differences(case, rj):
+    """Each robot moves towards the middle of an obstacle, and past it."""
+    import jax
+    import jax.numpy as jnp
+
+    scenario, fields = CONTACTS[case]
+    env = rj.make(scenario, differentiable=True, time_step=0.05, **fields)
+    n, d = env.scenario.n_robots, env.scenario.dim
+    _, begun = env.reset(2)
+    places = np.zeros((n, d))
+    places[:, :2] = [[-0.9, 0.45], [-1.0, -0.4], [1.5, 0.6]]
+    aims = np.array([[1.0, -0.1, 0.0], [-0.1, -1.0, 0.0], [-0.1, -1.0, 0.0]])[:, :d]
+    if env.scenario.model.nonholonomic:
+        begun = begun.replace(memory=jnp.asarray(np.arctan2(aims[:, 1:2], aims[:, :1])))
+        aims = np.stack([np.ones(n), np.full(n, 0.3)], axis=1)
+    elif begun.memory.shape[1]:
+        aims = 3.0 * aims
+    else:
+        begun = begun.replace(frames=jnp.broadcast_to(jnp.eye(d).ravel(), (n, d * d)))
+    _, begun = env._look(begun)
+    weights = jnp.asarray(np.random.default_rng(0).uniform(0.5, 1.0, (n, d)))
+
+    def cost(positions, gain):
+        _, state = env._look(begun.replace(positions=positions))
+
+        def advance(state, _):
+            state = env.step(None, state, gain * jnp.asarray(aims))[1]
+            return state, state.contacts
+
+        state, contacts = jax.lax.scan(advance, state, None, 26)
+        return (weights * state.positions).sum() + 0.1 * state.path_length, contacts[-1]
+
+    (_, touched), slopes = jax.jit(jax.value_and_grad(cost, argnums=(0, 1), has_aux=True))(
+        jnp.asarray(places), 0.9
+    )
+    assert touched > 5, "hardly a contact"
+    value, h = jax.jit(lambda *at: cost(*at)[0]), 1e-5
+    for i in range(n):
+        for axis in range(d):
+            step = np.zeros((n, d))
+            step[i, axis] = h
+            difference = (value(places + step, 0.9) - value(places - step, 0.9)) / (2 * h)
+            assert slopes[0][i, axis] == pytest.approx(float(difference), rel=1e-4, abs=1e-4)
+    difference = (value(places, 0.9 + h) - value(places, 0.9 - h)) / (2 * h)
+    assert slopes[1] == pytest.approx(float(difference), rel=1e-4, abs=1e-6)

@@ -158,6 +158,8 @@ def _store(vector: Any, out: Any) -> None:
 
 @replaces(engine_streams.uniform)
 def _uniform(key: Any, counter: Any) -> Any:
+    if isinstance(key, random_streams.Numbers):
+        return key.values[counter]
     return random_streams.uniform(key, counter, jnp.result_type(float))
 
 

@@ -30,7 +30,10 @@ def for_teams(
 
     def work(now: Any) -> Any:
         left, results = now
-        (teams,) = jnp.nonzero(left, size=size, fill_value=batch)
+        place = jnp.where(left, jnp.cumsum(left) - 1, size)
+        # unsigned, so that no index is looked up from the end
+        teams = jnp.full(size, batch, jnp.uint32)
+        teams = teams.at[place].set(jnp.arange(batch, dtype=jnp.uint32), mode="drop")
         some = jax.tree.map(lambda a: jnp.take(a, teams, axis=-1, mode="clip"), given)
         results = jax.tree.map(
             lambda a, b: a.at[..., teams].set(b, mode="drop"), results, function(some)

@@ -22,7 +22,7 @@ from ...safety.tank import (
     promised_descent,
     unit_of_tanks,
 )
-from ...safety.turning import desired_rates, gated_rates, rates_of
+from ...safety.turning import Robot, desired_rates, gated_rates, rates_of
 from ..arrays.array_form import Array, array_form, select
 from .frames import Seen, held, look, nothing_seen
 from .heading import turned, vector_of
@@ -35,6 +35,54 @@ class Memory(NamedTuple):
     deposits: Array  # (n, *batch), G of the action in progress, m²/s
     linked: Array  # (n, *batch), whether a robot has seen a neighbour before the action
     seen: Seen
+
+
+class Account(NamedTuple):
+    """Constants of a step of single integrators with a tank; arrays of one shape."""
+
+    f: Any  # net bearing, a tuple, m/s
+    degree: Array  # D, m/s
+    strength: Array  # ‖f‖, m/s
+    scale: Array  # s of theorem D
+    owed: Array  # decrease of V that a step must promise, m²/s
+    error: Any  # e, the error of f, m/s; 0.0 where bearings are exact
+
+
+def account_of(f: Any, degree: Array, robot: Robot) -> Account:
+    """Account of a step with net bearing f, a tuple, and degree D, m/s."""
+    gate, (strength, _) = robot.gate, array_form(split)(f)
+    error = robot.error_chord * degree if robot.error_chord > 0.0 else 0.0
+    limits = robot.merge_radius, gate.duration, robot.speed_limit
+    scale = array_form(descent_scale)(strength, degree, *limits)
+    owed = array_form(promised_descent)(strength, scale, gate.min_alignment, gate.duration, error)
+    return Account(f, degree, strength, scale, owed, error)
+
+
+def gain_of(account: Account, displacement: Any, robot: Robot) -> Array:
+    """Gain G(Δ) of the tank from a displacement Δ, a tuple, m; m²/s."""
+    f, degree, radius = account.f, account.degree, robot.merge_radius
+    sure = array_form(certain_descent)(f, degree, displacement, radius, account.error)
+    return jnp.asarray(sure - account.owed)
+
+
+def executed(desired: Any, account: Account, levels: Array, robot: Robot) -> tuple[Any, Array]:
+    """``tank._spend``: the velocity sent, a tuple, m/s, for a desired one, and its gain, m²/s.
+
+    A desired velocity is executed where A + G ≥ 0, else law (4) along it.
+    """
+    limit, gate = robot.speed_limit, robot.gate
+
+    def gain(sent: Any) -> Array:
+        moved, _ = array_form(_moved)(sent, limit, gate.duration)
+        return gain_of(account, moved, robot)
+
+    speed, _ = array_form(split)(desired)
+    factor = array_form(limit_factor)(speed, limit)
+    wanted = array_form(rounded)(array_form(scaled)(desired, factor))
+    cap = account.scale, gate.min_alignment, account.error
+    law = array_form(rounded)(array_form(descending_velocity)(desired, account.f, *cap))
+    sent = select(levels + gain(wanted) >= 0.0, wanted, law)
+    return sent, gain(sent)
 
 
 class Tank:
@@ -76,27 +124,10 @@ class Tank:
     def _spend(self, choices: Array, memory: Memory) -> tuple[Array, Array]:
         """``tank._spend``: velocities and deposits of single integrators."""
         robot, seen = self._robot, memory.seen
-        limit, radius, duration = robot.speed_limit, robot.merge_radius, robot.gate.duration
-        margin, f = robot.gate.min_alignment, vector_of(seen.net_bearing)
-        error, (strength, _) = robot.error_chord * seen.degree, array_form(split)(f)
-        with_error = robot.error_chord > 0.0
-        e = error if with_error else 0.0
-        scale = array_form(descent_scale)(strength, seen.degree, radius, duration, limit)
-        owed = array_form(promised_descent)(strength, scale, margin, duration, e)
-        desired = array_form(scaled)(held(self.filter, choices, seen), limit)
-        speed, _ = array_form(split)(desired)
-        factor = array_form(limit_factor)(speed, limit)
-        wanted = array_form(rounded)(array_form(scaled)(desired, factor))
-
-        def deposit(sent: Any) -> Array:
-            moved, _ = array_form(_moved)(sent, limit, duration)
-            earned = array_form(certain_descent)(f, seen.degree, moved, radius, e) - owed
-            return jnp.asarray(earned)
-
-        accepted = memory.levels + deposit(wanted) >= 0.0
-        law = array_form(rounded)(array_form(descending_velocity)(desired, f, scale, margin, e))
-        sent = select(accepted, wanted, law)
-        return jnp.stack(sent, axis=1), deposit(sent)
+        account = account_of(vector_of(seen.net_bearing), seen.degree, robot)
+        desired = array_form(scaled)(held(self.filter, choices, seen), robot.speed_limit)
+        sent, deposits = executed(desired, account, memory.levels, robot)
+        return jnp.stack(sent, axis=1), deposits
 
     def _spend_bodies(self, choices: Array, memory: Memory) -> tuple[Array, Array]:
         """``tank._spend_bodies``: actions and deposits of nonholonomic robots."""

@@ -43,23 +43,26 @@ def _scaled(a: Any, factor: Any) -> Any:
 
 
 class Contact:
-    """Motion of robots up to and along obstacles, in SLIDE or STOP mode."""
+    """Motion of robots up to and along obstacles, in SLIDE or STOP mode.
 
-    def __init__(self, shapes: Shapes, mode: int) -> None:
+    With ``bounded`` gradients pass: legs are a loop of fixed length, and corrections by less than
+    the depth of contact, whose loops end early, are constants.
+    """
+
+    def __init__(self, shapes: Shapes, mode: int, bounded: bool = False) -> None:
         self._shapes, self._mode, self._tolerances = shapes, mode, shapes.tolerances
+        self._bounded = bounded
 
     def move_straight(self, world: World, point: Any, way: Any) -> tuple[Array, Any]:
         """``contact.move_straight``: whether there was a contact, and the displacement."""
         near, fraction = self._first_contact(world, point, way, self._tolerances.depth)
         end_is_clear = self._shapes.is_clear(world, _add(point, way), self._tolerances.touching)
         free = ~near | ((fraction > 1.0) & end_is_clear)
-        has_room, in_skin, start = self._out_of_skins(world, point, ~free)
-        if self._shapes.has_skins:
-            _, again = self._first_contact(world, start, way, self._tolerances.depth)
-            fraction = jnp.where(in_skin, again, fraction)
-        end = self._follow(world, start, way, ~free & has_room)
+        in_skin = self._is_in_skin(world, point, ~free)
+        end, has_room, from_start = self._follow(world, point, way, ~free, in_skin)
         executed = _subtract(end, point)
-        met = (fraction <= 1.0) | self._is_held(world, point, executed, way)
+        met = jnp.where(in_skin, from_start, fraction) <= 1.0
+        met |= self._is_held(world, point, executed, way)
         return self._outcome(free, has_room, way, met, executed)
 
     def move_curved(self, world: World, point: Any, way: Any, curve: Any) -> tuple[Array, Any]:
@@ -68,7 +71,7 @@ class Contact:
         reach = model.speed_limit * model.duration
         near = jnp.any(self._shapes.within(world, point, reach), axis=0)
         has_room, in_skin, start = self._out_of_skins(world, point, near)
-        time = self._first_contact_on_curve(world, start, curve, near & has_room)
+        time = self._time_of_contact(world, start, curve, near & has_room)
         contact, free_end = time <= model.duration, _add(start, way)
         is_clear = self._shapes.is_clear(world, free_end, self._tolerances.touching)
         free = ~near | (~contact & is_clear)
@@ -78,10 +81,10 @@ class Contact:
         def place(share: Any) -> Any:
             return _add(start, self._displacement(curve, share))
 
-        end = self._settle(world, start, place, share, pace, ~free & has_room)
+        end, _ = self._settle(world, start, place, share, pace, ~free & has_room)
         if self._mode == SLIDE:
             left = _subtract(free_end, end)
-            slid = self._follow(world, end, left, ~free & has_room & contact)
+            slid, _, _ = self._follow(world, end, left, ~free & has_room & contact)
             end = select(contact, slid, end)
         executed = _subtract(end, point)
         met = contact | self._is_held(world, point, executed, way)
@@ -105,15 +108,29 @@ class Contact:
         return jnp.any(within, axis=0), jnp.min(entries, axis=0)
 
     def _out_of_skins(self, world: World, point: Any, asked: Array) -> tuple[Array, Array, Any]:
-        yes = jnp.ones_like(asked)
+        in_skin = self._is_in_skin(world, point, asked)
         if not self._shapes.has_skins:
-            return yes, ~yes, point
+            return ~in_skin, in_skin, point
+        has_room, start = self._push_out(world, self._constant(point), in_skin)
+        start = self._corrected(point, start)
+        return has_room | ~in_skin, in_skin, select(in_skin, start, point)
+
+    def _constant(self, values: Any) -> Any:
+        return jax.tree.map(jax.lax.stop_gradient, values) if self._bounded else values
+
+    def _corrected(self, point: Any, corrected: Any) -> Any:
+        """A corrected point, with the gradient of the point where gradients pass."""
+        if not self._bounded:
+            return corrected
+        return _add(point, self._constant(_subtract(corrected, point)))
+
+    def _is_in_skin(self, world: World, point: Any, asked: Array) -> Array:
+        if not self._shapes.has_skins:
+            return jnp.zeros_like(asked)
         distance = self._shapes.distances(world, point)
         skins = (world.skins > 0.0) & self._shapes.within(world, point, 0.0)
         deep = skins & (distance < world.skins + self._tolerances.touching)
-        in_skin = asked & jnp.any(deep, axis=0)
-        has_room, start = self._push_out(world, point, in_skin)
-        return has_room | ~in_skin, in_skin, select(in_skin, start, point)
+        return asked & jnp.any(deep, axis=0)
 
     def _push_out(self, world: World, point: Any, asked: Array) -> tuple[Array, Any]:
         """``obstacle_set.push_out``: pushes in the order of obstacles, 8 times through all."""
@@ -143,43 +160,63 @@ class Contact:
 
     def _settle(
         self, world: World, start: Any, place: Any, share: Any, pace: Any, asked: Array
-    ) -> Any:
-        """``contact._settle``: a place on the path, outside the obstacles."""
+    ) -> tuple[Any, Array]:
+        """``contact._settle``: a place on the path, and whether it is outside the obstacles."""
 
         def retreat(now: Any) -> Any:
-            share, step, end, busy = now
+            share, step, end, clear, busy = now
             last = ~((share > 0.0) & (step > 0.0))
-            is_out, point = self._push_out(world, select(last, start, place(share)), busy)
+            tried = self._constant(select(last, start, place(share)))
+            is_out, point = self._push_out(world, tried, busy)
             ends = busy & (is_out | last)
-            return share - step, 2.0 * step, select(ends, point, end), busy & ~ends
+            end, clear = select(ends, point, end), jnp.where(ends, is_out, clear)
+            return share - step, 2.0 * step, end, clear, busy & ~ends
 
-        depth = self._tolerances.depth
-        begun = share, depth / jnp.maximum(depth, pace), start, asked
-        _, _, end, _ = jax.lax.while_loop(lambda now: jnp.any(now[-1]), retreat, begun)
-        return end
+        depth, wanted, world = self._tolerances.depth, place(share), self._constant(world)
+        begun = share, depth / jnp.maximum(depth, pace), start, jnp.zeros_like(asked), asked
+        _, _, end, clear, _ = jax.lax.while_loop(
+            lambda now: jnp.any(now[-1]), retreat, self._constant(begun)
+        )
+        return self._corrected(wanted, end), clear
 
-    def _follow(self, world: World, point: Any, way: Any, asked: Array) -> Any:
-        """``contact._follow``: the end of a robot that slides, or stops."""
+    def _follow(
+        self, world: World, point: Any, way: Any, asked: Array, in_skin: Any = False
+    ) -> tuple[Any, Array, Array]:
+        """``contact._follow``: the end of a robot that slides, or stops.
+
+        A robot ``in_skin`` is first pushed out of it. Also returns whether that has room, and the
+        fraction of the first leg.
+        """
 
         def go(now: Any) -> Any:
-            start, leg, left, legs, busy = now
+            start, leg, left, legs, has_room, first, busy = now
             _, fraction = self._first_contact(world, start, leg, self._tolerances.depth)
 
             def place(share: Any) -> Any:
                 return _add(start, _scaled(leg, share))
 
-            share = jnp.minimum(fraction, 1.0)
-            end = self._settle(world, start, place, share, norm_of(leg), busy)
-            start = select(busy, end, start)
-            busy = busy & (fraction < 1.0) & (legs + 1 < _MAX_LEGS)
-            if self._mode == STOP:
-                return start, leg, left, legs + 1, jnp.zeros_like(busy)
-            left = left * (1.0 - jnp.minimum(fraction, 1.0))
-            leg = _scaled(self._free_part(world, way, start, busy), left)
-            return start, leg, left, legs + 1, busy
+            begins = legs < 0  # to move out of a skin
+            share = jnp.where(begins, 0.0, jnp.minimum(fraction, 1.0))
+            end, is_out = self._settle(world, start, place, share, norm_of(leg), busy)
+            has_room = has_room & ~(busy & begins & ~is_out)
+            first = jnp.where(legs == 0, fraction, first)
+            start, legs = select(busy, end, start), legs + 1
+            goes_on = (fraction < 1.0) & (legs < _MAX_LEGS) & (self._mode != STOP)
+            busy = busy & has_room & (begins | goes_on)
+            if self._mode != STOP:
+                left = left * (1.0 - share)
+                along = _scaled(self._free_part(world, way, start, busy), left)
+                leg = select(begins, leg, along)
+            return start, leg, left, legs, has_room, first, busy
 
-        begun = point, way, jnp.ones_like(way[0]), jnp.int32(0), asked
-        return jax.lax.while_loop(lambda now: jnp.any(now[-1]), go, begun)[0]
+        legs, yes = jnp.where(in_skin, -1, jnp.zeros(asked.shape, jnp.int32)), asked | True
+        begun = point, way, jnp.ones_like(way[0]), legs, yes, jnp.full_like(way[0], jnp.inf), asked
+        if self._bounded:
+            last = jax.lax.fori_loop(0, _MAX_LEGS + 1, lambda _, now: go(now), begun)
+        else:
+            last = jax.lax.while_loop(lambda now: jnp.any(now[-1]), go, begun)
+        end, *_, has_room, first, _ = last
+        return end, has_room, first
 
     def _is_held(self, world: World, point: Any, executed: Any, way: Any) -> Array:
         moves = _dot(way, way) > 0.0
@@ -197,26 +234,24 @@ class Contact:
         )
         distance, normal = self._shapes.surface(world, point)
         touched = asked & (distance < reach)
-        one, other = self._shapes.normals(world, point, normal)
-        rank, count = jnp.cumsum(touched, axis=0) - 1, jnp.sum(touched, axis=0)
-        most = jnp.max(count)
+        each = self._shapes.normals(world, point, normal)
 
         def is_free(candidate: Any) -> Array:
-            rounding = self._tolerances.into * norm_of(candidate)
-            along = jnp.maximum(_dot(candidate, one), _dot(candidate, other))
-            return ~jnp.any(touched & (along < -rounding), axis=0)
+            """Whether velocities (*lanes), or (K, *lanes), enter no obstacle."""
+            rounding, axis = self._tolerances.into * norm_of(candidate), candidate[0].ndim - 1
+            candidate = tuple(jnp.expand_dims(part, axis) for part in candidate)
+            along = jnp.stack([_dot(candidate, normals) for normals in each])
+            enters = jnp.max(along, axis=0) < -jnp.expand_dims(rounding, axis)
+            return ~jnp.any(touched & enters, axis=axis)
 
-        def normals_at(k: Any) -> tuple[Any, Any]:
-            mine = touched & (rank == k)
-            pair = ((jnp.sum(jnp.where(mine, x, 0.0), axis=0) for x in n) for n in (one, other))
-            first, second = pair
-            return tuple(first), tuple(second)
-
-        def consider(best: Any, candidate: Any, exists: Any) -> Any:
-            longest, chosen = best
-            length = _dot(candidate, candidate)
-            better = exists & (length > longest) & is_free(candidate)
-            return jnp.where(better, length, longest), select(better, candidate, chosen)
+        def longest_of(candidates: Any, exist: Array, best: Any) -> Any:
+            """The first of the longest free candidates (K, *lanes), if longer than the best."""
+            length = _dot(candidates, candidates)
+            length = jnp.where(exist & is_free(candidates), length, 0.0)
+            first = jnp.argmax(length, axis=0)
+            mine = jnp.arange(len(length)).reshape(-1, *[1] * first.ndim) == first
+            chosen = tuple(jnp.sum(jnp.where(mine, part, 0.0), axis=0) for part in candidates)
+            return select(jnp.max(length, axis=0) > _dot(best, best), chosen, best)
 
         def face(m: Any, n: Any) -> Any:
             """``contact._onto_face``: onto a plane, or the line in which two planes meet."""
@@ -226,22 +261,49 @@ class Contact:
             onto_line = _scaled(line, divided(_dot(velocity, line), squared))
             return select(squared < self._tolerances.parallel, plane, onto_line)
 
-        def pair_up(now: Any) -> Any:
-            i, j, best = now
-            exists = (i < count) & (j < count)
-            mine, others = normals_at(i), normals_at(j)
-            if self._shapes.dim == 2:  # two planes leave no direction in the plane
-                for normal in mine:
-                    best = consider(best, face(normal, normal), exists)
-                return i + 1, i + 1, best
-            best = consider(best, face(mine[0], others[0]), exists)
-            wraps = j + 1 >= most
-            return jnp.where(wraps, i + 1, i), jnp.where(wraps, i + 1, j + 1), best
+        none = (jnp.zeros_like(velocity[0]),) * 3
+        if self._shapes.dim == 2:  # two planes leave no direction in the plane
+            kept = each[:1] if each[0] is each[1] else each
+            faces = [face(normals, normals) for normals in kept]
+            best = longest_of(
+                tuple(jnp.stack(parts, axis=1).reshape(-1, *touched.shape[1:])
+                      for parts in zip(*faces, strict=True)),
+                jnp.repeat(touched, len(kept), axis=0),
+                none,
+            )  # fmt: skip
+        else:
+            slots = jnp.arange(self._shapes.count).reshape(-1, 1)
 
-        zero = jnp.zeros_like(velocity[0])
-        begun = jnp.int32(0), jnp.int32(0), (zero, (zero, zero, zero))
-        _, _, (_, best) = jax.lax.while_loop(lambda now: now[0] < most, pair_up, begun)
+            def meet(i: Any, best: Any) -> Any:
+                plane = tuple(part[i] for part in each[0])
+                exist = touched & touched[i] & (slots >= i)
+                return longest_of(face(plane, each[0]), exist, best)
+
+            best = jax.lax.fori_loop(0, self._shapes.count, meet, none)
         return select(is_free(velocity), velocity, best)
+
+    def _time_of_contact(self, world: World, point: Any, curve: Any, asked: Array) -> Array:
+        """``_first_contact_on_curve``, with its gradient where gradients pass.
+
+        A time t of contact satisfies g(t) = −depth, g the distance to the obstacles; hence
+        dt = −dg/ġ.
+        """
+        if not self._bounded:
+            return self._first_contact_on_curve(world, point, curve, asked)
+        fixed = self._constant((world, point, curve[1:]))
+        kept = fixed[0], fixed[1], (curve[0], *fixed[2])
+        found = self._first_contact_on_curve(*kept, asked)
+        met = found <= curve[0].duration
+        time = jnp.where(met, found, 0.0)
+
+        def gap(world: World, point: Any, curve: Any, time: Array) -> Array:
+            there = _add(point, self._displacement(curve, time))
+            return jnp.min(self._shapes.distances(world, there) - world.skins, axis=0)
+
+        _, rate = jax.jvp(lambda now: gap(*kept, now), (time,), (jnp.ones_like(time),))
+        apart = gap(world, point, curve, time)
+        change = divided(self._constant(apart) - apart, self._constant(rate))
+        return jnp.where(met, time + change, found)
 
     def _first_contact_on_curve(self, world: World, point: Any, curve: Any, asked: Array) -> Array:
         """``contact._first_contact_on_curve``: the time until contact, s, or inf."""
@@ -289,7 +351,7 @@ class ObstacleContact:
 
     def __init__(self, fields: Fields, model: Any, mode: int, every: bool) -> None:
         self._fields, self._model, self._every = fields, model, every
-        self._contact = Contact(fields.shapes, mode)
+        self._contact = Contact(fields.shapes, mode, every)
         self.outcome = STOPPED if mode == STOP else SLID
         """Contact of robots that meet an obstacle, for ``Motion.update``."""
         margin = 3.0 * fields.shapes.tolerances.depth  # more than a skin
@@ -316,7 +378,7 @@ class ObstacleContact:
 
         given = {
             "point": rows(positions), "way": rows(ways), "curve": [lanes(part) for part in curve],
-            "environment": jnp.arange(near.size) % count,
+            "environment": jnp.arange(near.size, dtype=jnp.uint32) % count,
         }  # fmt: skip
 
         def stop(given: Any) -> Any:

@@ -16,10 +16,9 @@ from ...obstacles.obstacle_set import _GAP, _OVERLAP, pack, world_of
 from ...obstacles.polygon import POLYGON
 from ...obstacles.shape import ABSENT, AHEAD, BOUND, CONTACT_DEPTH, DETAILS, MIDDLE, SKIN
 from ...obstacles.walls import _NUMBERS, _TRIES, BOX, _draw_layout
-from ...physics.random_streams import OBSTACLES
 from ...scenario.scenario import Scenario
 from ..arrays.array_form import Array, array_form, norm_of
-from ..arrays.random_streams import Word, stream_key, uniform
+from ..arrays.random_streams import Word, numbers, uniform
 from ..arrays.selection import divided
 from .shapes import COARSE, EXACT, Shapes, World
 
@@ -69,13 +68,11 @@ class Fields:
             return state
         return jax.tree.map(lambda one: one if ndim else one[..., 0], self.fixed)
 
-    def draw(self, seed: Word, episode: Any, starts: Any) -> World:
-        """Sample the obstacles of episodes (*batch), clear of initial positions (n, d, *batch).
+    def draw(self, key: Word, batch: tuple[int, ...], starts: Any) -> World:
+        """Sample obstacles from streams (*batch), clear of initial positions (n, d, *batch).
 
         Absent obstacles where there is no room, and NaN as the shape of the first.
         """
-        key = stream_key(seed, episode, OBSTACLES)
-        batch = episode.shape
         if isinstance(self._rules, FieldRules):
             world = self._draw_balls(key, starts, batch)
             return world._replace(skins=self._skins(world))
@@ -88,25 +85,27 @@ class Fields:
         count = least + (uniform(key, 0, self._dtype) * (most - least + 1)).astype(jnp.int32)
         indices = np.arange(slots).reshape(-1, *[1] * len(batch))
 
+        def sampled(counter: Array) -> Array:
+            return numbers(key, counter, 1 + d, self._dtype).values
+
         def draw(now: Any) -> Any:
-            shapes, m, counter, tries = now
+            shapes, m, counter, tries, (share, *places) = now
             busy = (m < count) & (tries < _TRIES_PER_OBSTACLE)
-            radius = low + (high - low) * uniform(key, counter, self._dtype)
-            place = [
-                rules.region * (uniform(key, counter + 1 + k, self._dtype) - 0.5) for k in range(d)
-            ]
+            radius = low + (high - low) * share
+            place = [rules.region * (one - 0.5) for one in places]
             row = jnp.stack([radius, *place, *[jnp.zeros_like(radius)] * (3 - d)])
             fits = busy & self._fits(row, shapes, indices < m, starts)
             shapes = jnp.where(((indices == m) & fits)[:, None], row, shapes)
             tries = jnp.where(fits, 0, tries + busy)
-            return shapes, m + fits, counter + (1 + d) * busy, tries
+            counter = counter + (1 + d) * busy
+            return shapes, m + fits, counter, tries, sampled(counter)
 
         shapes = jnp.zeros((slots, DETAILS - AHEAD, *batch), self._dtype)
         zero = jnp.zeros(batch, jnp.int32)
         shapes, m, *_ = jax.lax.while_loop(
             lambda now: jnp.any((now[1] < count) & (now[3] < _TRIES_PER_OBSTACLE)),
             draw,
-            (shapes, zero, zero + 1, zero),
+            (shapes, zero, zero + 1, zero, sampled(zero + 1)),
         )
         none = jnp.zeros((slots, *batch), self._dtype)
         return World(jnp.asarray(indices) < m, _failed(shapes, m < count), none)
@@ -131,7 +130,8 @@ class Fields:
 
         def world_of_trial(trial: Any) -> World:
             made = _Canvas()
-            array_form(_draw_layout)(key, trial * _NUMBERS, self._rules, made)
+            drawn = numbers(key, trial * _NUMBERS, _NUMBERS, self._dtype)
+            array_form(_draw_layout)(drawn, 0, self._rules, made)
             rows = [
                 [jnp.broadcast_to(made.shapes.get((m, k), 0.0), batch) for k in range(OWN_AND_BOX)]
                 for m in range(slots)
