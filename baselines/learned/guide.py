@@ -248,8 +248,8 @@ class GuidedTeams:
         is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
         for team, robot in np.argwhere(~is_choice):
             raise ValueError(
-                f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be "
-                f"an integer below {count}"
+                f"action of robot_{robot} in environment {team} is {given[team, robot]}; it must "
+                f"be an integer below {count}"
             )
         self.choices = numbers.astype(np.int64)
         self._directions = self._turns[self.choices]
@@ -264,7 +264,9 @@ class GuidedTeams:
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
         for team, robot, _ in np.argwhere(~np.isfinite(given)):
             raise_invalid(
-                f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite"
+                f"action of robot_{robot} in environment {team}",
+                given[team, robot].tolist(),
+                "finite",
             )
         length = np.linalg.norm(given, axis=-1, keepdims=True)
         unit = given / np.where(length > 0.0, length, 1.0)

@@ -24,8 +24,8 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
     f lies in it or within the clearance, the heading is its nearer edge. The edge is moved outward
     by the clearance, or by half of the gap to the next interval if that is less. Without a blocking
     interval, or without any free direction, the heading is f. Within the clearance of two intervals
-    the nearer one counts. With a persistence λ ≥ 0 the nearer edge minimises the angle from f plus
-    λ times the angle from the carried heading, which prevents frequent changes of side.
+    the nearer one counts. The nearer edge minimises the angle from f plus λ ≥ 0 times the angle
+    from the carried heading. This persistence λ prevents frequent changes of side.
 
     Inputs are fᵢ, (N, 2), and silhouettes (N, M, 2, 2), counter-clockwise edge first. The clearance
     is in rad; carried headings, (N, 2), are zero where undefined. The output is ``out``, (N, 2).

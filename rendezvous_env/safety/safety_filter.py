@@ -309,7 +309,7 @@ class SafetyFilter(StatefulMixin):
         contact = np.zeros(team, np.bool_) if contact is None else contact
         resting = np.zeros(team[0], np.bool_) if resting is None else resting
         touched = np.ascontiguousarray(bools("contact", contact, team, "robots"))
-        passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
+        passed = np.ascontiguousarray(bools("resting", resting, team[:1], "environments"))
         alone = np.tile(np.arange(team[1]), (team[0], 1))
         robots = np.asarray(alone if merged_into is None else merged_into)
         if robots.shape != team or robots.dtype.kind not in "iu":
