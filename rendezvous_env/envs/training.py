@@ -292,5 +292,7 @@ def charge_first_contacts(
     if not first.any():
         return rewards
     touched |= first
+    if price == 0.0:
+        return rewards
     infos["robot_rewards"] -= price * first
     return rewards - price * first.mean(axis=1)

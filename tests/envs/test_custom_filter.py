@@ -85,6 +85,36 @@ def test_filter_instance_serves_one_wrapper():
         assert home.GuaranteeWrapper(make(), made).filter is made  # nobody holds it any more
 
 
+class CountingTank(EnergyTank):
+    """Tank that counts how often its calls are made anew."""
+
+    count = 0
+
+    def apply_calls(self, *given):
+        self.count += 1
+        return super().apply_calls(*given)
+
+
+class ReusingTank(CountingTank):
+    reuses_calls = True
+
+
+@pytest.mark.parametrize(("kind", "count"), [(CountingTank, 5), (ReusingTank, 2)])
+def test_calls_are_reused_in_a_decision_only_if_a_filter_says_so(kind, count):
+    made = lambda kind: rv.vector.GuaranteeWrapper(  # noqa: E731
+        rv.make_vec("clutter-4", 3, num_threads=1), kind, decision_period=5, budget=1.0
+    )
+    plain, counting = made(EnergyTank), made(kind)
+    plain.reset(seed=0), counting.reset(seed=0)
+    assert EnergyTank.reuses_calls
+    for step in range(1, 4):
+        choices = np.random.default_rng(step).uniform(-1, 1, plain.action_space.shape)
+        (seen, *rest), (own, *others) = plain.step(choices), counting.step(choices)
+        np.testing.assert_array_equal(own, seen)
+        np.testing.assert_array_equal(others[0], rest[0])
+        assert counting.filter.count == count * step
+
+
 def test_invalid_filter_is_rejected():
     base = rv.parallel_env("fig3")
     with pytest.raises(TypeError, match="HalfSpeed has no setting 'leats'; did you mean 'least'"):
