@@ -229,4 +229,4 @@ def form_of(policy: LearnedPolicy) -> JaxPolicy:
     return Learned(policy.scenario, policy.settings, parameters_of(policy._chooser))
 
 
-register(AT_PATH, *NAMES)(form_of)
+register(AT_PATH, *(name for name in NAMES if name != "learned-search"))(form_of)

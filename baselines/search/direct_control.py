@@ -149,8 +149,8 @@ class DirectTeams:
         is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
         for team, robot in np.argwhere(~is_choice):
             raise ValueError(
-                f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be "
-                f"an integer below {count}"
+                f"action of robot_{robot} in environment {team} is {given[team, robot]}; "
+                f"it must be an integer below {count}"
             )
         self.choices = numbers.astype(np.int64)
         self.head(self._table[self.choices])
@@ -164,7 +164,9 @@ class DirectTeams:
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
         for team, robot, _ in np.argwhere(~np.isfinite(given)):
             raise_invalid(
-                f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite"
+                f"action of robot_{robot} in environment {team}",
+                given[team, robot].tolist(),
+                "finite",
             )
         self.steering.held[...] = np.clip(given, -1.0, 1.0) * self._limits
 

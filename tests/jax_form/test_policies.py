@@ -135,7 +135,7 @@ def test_make_names_what_has_no_jax_form(jax_policies):
         jax_policies.make("tangent", "clutter-8")
     with pytest.raises(NotImplementedError, match="'tank-joined' for unicycle robots in 2-D"):
         jax_policies.make("tank-joined", "unicycle-clutter-8")
-    with pytest.raises(NotImplementedError, match="'learned' for unicycle robots in 2-D"):
+    with pytest.raises(NotImplementedError, match="policy 'learned-search' has no JAX form"):
         jax_policies.make("learned-search", "utias-5")
     with pytest.raises(ValueError, match="policy 'unicycle' does not fit"):
         jax_policies.make("unicycle", "duo")

@@ -165,8 +165,12 @@ def test_forgetting_clears_one_environment():
 @pytest.mark.parametrize(
     ("method", "given", "message"),
     [
-        ("choose", [[0, 17]], r"action of robot_1 in team 0 is 17; it must be an integer below 17"),
-        ("head", [[[0.0, 0.0], [math.nan, 0.0]]], r"action of robot_1 in team 0 is \[nan"),
+        (
+            "choose",
+            [[0, 17]],
+            r"action of robot_1 in environment 0 is 17; it must be an .* below 17",
+        ),
+        ("head", [[[0.0, 0.0], [math.nan, 0.0]]], r"action of robot_1 in environment 0 is \[nan"),
     ],
 )
 def test_invalid_action_is_named(method, given, message):
