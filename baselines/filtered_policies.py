@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, raise_invalid
-from rendezvous_env.envs.guarantee import check_period
+from rendezvous_env.checks import check_shape, known_fields, raise_invalid
+from rendezvous_env.envs.guarantee import check_period, settings_of
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.safety.settings import MAX_TURN_RATE, TANK_MARGIN
@@ -169,6 +169,7 @@ class HeadingPolicy(FilteredPolicy):
     def __init__(
         self, scenario: ScenarioLike, choose: Choose, *, decision_period: int = 1, **settings: Any
     ) -> None:
+        known_fields(settings, settings_of(HeadingFilter), type(self).__name__, "setting")
         make_filter = partial(HeadingFilter, resolve(scenario), **settings)
         super().__init__(scenario, choose, make_filter, decision_period)
         bare = not settings.get("certified", True) or settings.get("bearing_error", 0.0) != 0.0
@@ -206,6 +207,7 @@ class TankPolicy(FilteredPolicy):
     def __init__(
         self, scenario: ScenarioLike, choose: Choose, *, decision_period: int = 1, **settings: Any
     ) -> None:
+        known_fields(settings, settings_of(EnergyTank), type(self).__name__, "setting")
         make_filter = partial(EnergyTank, resolve(scenario), **settings)
         super().__init__(scenario, choose, make_filter, decision_period)
         self._guarantee = guarantee_with("tank", settings)

@@ -151,7 +151,7 @@ class StatefulPolicy(TeamPolicy):
         if mask is None:
             self._leading = None
         elif self._leading is not None:
-            self._forget(bools("mask", mask, self._leading, "teams").reshape(-1))
+            self._forget(bools("mask", mask, self._leading, "environments").reshape(-1))
 
 
 KINDS = {

@@ -95,6 +95,21 @@ class TrainedPolicy(TeamPolicy):
             period = inner.decision_period
             self._policy = FilteredPolicy(chosen, self._choose, self._make_filter, period)
             self._guarantee = guarantee_with(arguments.get("guarantee", "heading"), arguments)
+        owner = getattr(self.model, "__self__", self.model)  # of model.predict, the model
+        space = getattr(owner, "observation_space", None)
+        self._check_trained_for(getattr(space, "shape", None))
+
+    def _check_trained_for(self, shape: tuple[int, ...] | None, what: str = "predict") -> None:
+        """Raise a ValueError for a model of observations of another shape, None if unknown."""
+        if shape is None or shape == self.observation_shape:
+            return
+        layout = self.scenario.observation_layout
+        raise ValueError(
+            f"{what} was trained for observations of shape {shape}; in {self.scenario.name!r} it "
+            f"gets {self.observation_shape}, with neighbour_slots = {layout.neighbour_slots} and "
+            f"obstacle_slots = {layout.obstacle_slots}. Give the arguments of training_env in "
+            "training, or train with neighbour_slots and obstacle_slots that fit both scenarios"
+        )
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
@@ -117,7 +132,7 @@ class TrainedPolicy(TeamPolicy):
         choices = self.choices(rows)
         robot = self._chooses.shape[1:]
         wanted = (*rows.shape[: 1 + self.by_team], *robot)
-        check_shape(f"what predict gave for observations {rows.shape}", choices, wanted)
+        check_shape(f"output of predict for observations {rows.shape}", choices, wanted)
         return choices.reshape(*seen.shape[:2], *robot)
 
     @property
@@ -148,7 +163,13 @@ class TrainedPolicy(TeamPolicy):
 def _run_module(module: Any, seen: Float32) -> NDArray[Any]:
     """Output of a torch module for observations, without gradients."""
     like = next(iter(module.parameters()))
-    found: NDArray[Any] = module(like.new_tensor(seen)).detach().cpu().numpy()
+    try:
+        found: NDArray[Any] = module(like.new_tensor(seen)).detach().cpu().numpy()
+    except RuntimeError as error:
+        raise ValueError(
+            f"predict fails for observations of shape {seen.shape}: {error}; give the arguments of "
+            "training_env in training"
+        ) from error
     return found
 
 
@@ -181,15 +202,12 @@ def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPo
         shape, arguments = tuple(about["shape"]), about["arguments"]
 
     def predict(seen: Float32) -> NDArray[Any]:
-        if seen.shape[1:] != shape:
-            raise ValueError(
-                f"{path}: reads observations of shape {shape}; robots of this scenario observe "
-                f"{seen.shape[1:]}"
-            )
         found: NDArray[Any] = session.run(None, {OBSERVATION: seen})[0]
         return found
 
-    return TrainedPolicy(scenario, predict, by_team=about["by_team"], **arguments)
+    policy = TrainedPolicy(scenario, predict, by_team=about["by_team"], **arguments)
+    policy._check_trained_for(shape, str(path))
+    return policy
 
 
 register_reader(AT_PATH, load)

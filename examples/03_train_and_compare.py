@@ -40,4 +40,6 @@ compare.run(
     )
 )
 for row in results.read_csv(out / "compare" / "results.csv"):
-    print(f"{row['policy'].split(':')[0]}: cleanly {float(row['clean_success']):.0%}")
+    print(
+        f"{row['policy'].split(':')[0]}: collision-free {float(row['collision_free_success']):.0%}"
+    )

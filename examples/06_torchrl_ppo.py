@@ -82,7 +82,7 @@ def evaluate(moment: str) -> None:
     times = (last + 1.0) * held_out.seconds_per_step
     times[~met] = torch.inf
     share, cleanly = (which.float().mean() for which in (met, clean))
-    print(f"{moment}: {share:.1%} met, {cleanly:.1%} cleanly, median {times.median():.2f} s")
+    print(f"{moment}: {share:.1%} met, {cleanly:.1%} collision-free, median {times.median():.2f} s")
 
 
 evaluate("before")
@@ -123,4 +123,4 @@ def predict(observations):
 policy = baselines.TrainedPolicy(given.scenario, predict, by_team=True)
 played = rv.rollout(given.scenario, policy, seed=1_000_000, num_envs=given.held_out)
 clean = played.success & ~played.contacts.any(axis=(0, 2))
-print(f"as a policy: {played.success.mean():.1%} met, {clean.mean():.1%} cleanly")
+print(f"as a policy: {played.success.mean():.1%} met, {clean.mean():.1%} collision-free")

@@ -36,7 +36,9 @@ def attempt(chosen):
 
     def on_update(update, metrics):
         for row in metrics["evaluation"]:
-            tune.report({"clean_success": row["clean_success"], "step": metrics["step"]})
+            tune.report(
+                {"collision_free_success": row["collision_free_success"], "step": metrics["step"]}
+            )
 
     folder = Path(tune.get_context().get_trial_dir()) / "run"
     settings = ppo.Config(
@@ -60,7 +62,7 @@ found = tune.Tuner(
     tune.with_resources(attempt, {"cpu": 1}),
     param_space=SEARCHED,
     tune_config=tune.TuneConfig(
-        metric="clean_success",
+        metric="collision_free_success",
         mode="max",
         num_samples=given.trials,
         scheduler=ASHAScheduler(
@@ -71,5 +73,5 @@ found = tune.Tuner(
 ).fit()
 best = found.get_best_result(scope="all")  # best evaluation of a trial, not its last
 chosen = ", ".join(f"{name} {value:.3g}" for name, value in best.config.items())
-print(f"cleanly {best.metrics['clean_success']:.0%} with {chosen}: {best.path}/run")
+print(f"collision-free {best.metrics['collision_free_success']:.0%} with {chosen}: {best.path}/run")
 ray.shutdown()

@@ -3,6 +3,7 @@
 import dataclasses
 import difflib
 import functools
+import inspect
 import math
 import re
 import reprlib
@@ -18,13 +19,26 @@ from numpy.typing import NDArray
 from .limits import LARGEST, SMALLEST
 
 _LONGEST_WORD = 100
+_MAX_DIFFERING = 3
 _STEPS = ("max_steps", "max_episode_steps", "horizon", "episode_length")
 _SYNONYMS = {
-    "n_robots": ("n_agents", "num_agents", "num_robots", "team_size"),
-    "time_step": ("dt", "timestep", "step_size"),
+    "n_robots": ("n", "n_agents", "num_agents", "num_robots", "team_size"),
+    "dim": ("d", "dimension", "ndim", "n_dims"),
+    "robot_model": ("model", "dynamics", "kinematics"),
+    "merge_radius": ("r", "rendezvous_radius", "meeting_radius", "capture_radius"),
+    "time_step": ("dt", "tau", "timestep", "step_size", "certified_step"),
     "max_cycles": _STEPS,
     "time_limit": _STEPS,
-    "graph": ("topology", "adjacency"),
+    "max_speed": ("v_max", "speed_limit", "speed_limits", "min_speed_limit", "max_velocity"),
+    "max_turn_rate": ("turn_limit", "min_turn_limit", "omega_max", "max_angular_velocity"),
+    "max_acceleration": ("a_max", "acceleration_limit"),
+    "spawn_size": ("spawn_edges", "spawn_diagonal", "arena_size", "world_size"),
+    "obstacle_contact": ("contact_mode", "collision", "collisions"),
+    "sensing": ("sensor", "sensors"),
+    "graph": ("sensing_graph", "topology", "adjacency"),
+    "positions": ("start_positions", "initial_positions"),
+    "headings": ("start_headings", "initial_headings"),
+    "weights": ("graph", "adjacency", "edge_weights"),
     "cycle": ("ring", "circle", "loop"),
     "path": ("line", "chain"),
     "complete": ("full", "fully_connected", "all", "clique"),
@@ -32,8 +46,12 @@ _SYNONYMS = {
     "proximity": ("disk", "geometric"),
     "error": ("adversarial_error",),
 }
-"""Names of the same concepts in other packages."""
+"""Names of the same concepts in other packages, and of properties that follow from a field."""
 _Made = TypeVar("_Made")
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+_DERIVED = (property, functools.cached_property)
 
 
 class UnknownFieldError(TypeError, ValueError):
@@ -68,10 +86,36 @@ def raise_invalid(field: str, value: Any, wanted: str) -> NoReturn:
     raise ValueError(f"{field} is {short_repr(value)}; it must be {wanted}")
 
 
+def raise_other_scenario(
+    policy: str, own: str, here: str, differing: Mapping[str, tuple[Any, Any]]
+) -> NoReturn:
+    """Raise a ValueError for a policy made for another scenario, with both values of fields.
+
+    ``own`` and ``here`` are the names of the scenarios; ``differing`` has the values by field.
+    """
+    values = [
+        f"{name} is {short_repr(now)} instead of {short_repr(made)}"
+        for name, (made, now) in list(differing.items())[:_MAX_DIFFERING]
+    ]
+    others = f" and {left} more" if (left := len(differing) - _MAX_DIFFERING) > 0 else ""
+    raise ValueError(
+        f"policy is {policy}, made for {own!r}; in {here!r} {', '.join(values)}{others}: make the "
+        "policy with this scenario"
+    )
+
+
 def format_limit(limit: float) -> str:
     """Limit with all digits, so that the printed value is accepted as input."""
     short = f"{limit:g}"
     return short if float(short) == limit else repr(float(limit))
+
+
+def counted(count: int, noun: str) -> str:
+    """Count with its noun, in the plural unless it is 1: "1 step", "2 policies"."""
+    if count == 1:
+        return f"1 {noun}"
+    plural = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{count} {plural}"
 
 
 def to_float(value: Any) -> float:
@@ -257,21 +301,29 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
     return array
 
 
-def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
+def nearest_word(
+    word: Any, words: Iterable[str], cutoff: float = 0.65, parts: bool = True
+) -> str | None:
     """Known word for ``word``: a synonym, a similar word, or one that contains it.
 
     A similar word has a similarity of at least ``cutoff`` (at most 1). Parts are separated by - and
-    _.
+    _; with ``parts=False`` they do not count.
     """
     if not isinstance(word, str) or len(word) > _LONGEST_WORD:
         return None
     known = list(words)
+    if alike := [one for one in known if _plain(one) == _plain(word)]:
+        return alike[0]
     if meant := [ours for ours, theirs in _SYNONYMS.items() if word in theirs and ours in known]:
         return meant[0]
-    having = [one for one in known if word in re.split("[-_]", one)]
+    having = [one for one in known if parts and word in re.split("[-_]", one)]
     close = difflib.get_close_matches(word, known, 1, cutoff)
     close = close or difflib.get_close_matches(word, having, 1, 0.0)
     return close[0] if close else None
+
+
+def _plain(word: str) -> str:
+    return word.lower().replace("-", "_")
 
 
 def closest_match(word: Any, words: Iterable[str], before: str = "", after: str = "") -> str:
@@ -281,16 +333,41 @@ def closest_match(word: Any, words: Iterable[str], before: str = "", after: str 
 
 
 def known_fields(
-    given: Iterable[Any], known: Iterable[str], what: str, noun: str = "field"
+    given: Iterable[Any],
+    known: Iterable[str],
+    what: str,
+    noun: str = "field",
+    explain: Callable[[Any], str] = lambda key: "",
 ) -> None:
-    """Raise an UnknownFieldError for an unknown field, with the most similar known one."""
+    """Raise an UnknownFieldError for an unknown field, with the most similar known one.
+
+    ``explain`` may give another hint for a field; empty for none.
+    """
     known = list(known)
     for key in given:
         if key not in known:
-            hint = closest_match(key, known) or f"known are {', '.join(known) or 'none'}"
+            hint = (
+                explain(key)
+                or closest_match(key, known)
+                or f"known are {', '.join(known) or 'none'}"
+            )
             if key in _STEPS and nearest_word(key, known) == "time_limit":
                 hint += " it is in s, not in steps"
             raise UnknownFieldError(f"{what} has no {noun} {short_repr(key)}; {hint}")
+
+
+def known_arguments(function: _Function) -> _Function:
+    """Decorate a function to suggest the most similar argument for unknown keywords."""
+    kinds = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    given = inspect.signature(function).parameters.values()
+    names = [one.name for one in given if one.kind in kinds and one.name not in ("self", "cls")]
+
+    @functools.wraps(function)
+    def checked(*args: Any, **arguments: Any) -> Any:
+        known_fields(arguments, names, function.__name__, "argument")
+        return function(*args, **arguments)
+
+    return cast(_Function, checked)
 
 
 def load(library: str, what: str, extra: str) -> Any:
@@ -308,8 +385,30 @@ Seconds = Annotated[float, partial(positive, unit="s")]
 
 def from_plain(made: type[_Made], plain: Mapping[str, Any], what: str) -> _Made:
     """Dataclass from plain data, with defaults for absent keys; unknown keys are rejected."""
-    known_fields(plain, [field.name for field in dataclasses.fields(cast(Any, made))], what)
+    _known_fields_of(made, plain, what)
     return made(**plain)
+
+
+def _known_fields_of(made: Any, given: Iterable[Any], what: str) -> None:
+    """As ``known_fields`` for a dataclass, with hints on properties and on fields of its parts."""
+    names = _names_of(made)
+
+    def explain(key: Any) -> str:
+        if nearest_word(key, names, cutoff=1.0, parts=False):
+            return ""
+        if isinstance(inspect.getattr_static(made, str(key), None), _DERIVED):
+            return "it follows from other fields and cannot be set"
+        parts = {name: getattr(check, "made", None) for name, check in _checks_of(made).items()}
+        having = [name for name, part in parts.items() if part and key in _names_of(part)]
+        if not having or nearest_word(key, names):
+            return ""
+        return f"it is a field of {' and of '.join(having)}; give it there"
+
+    known_fields(given, names, what, explain=explain)
+
+
+def _names_of(made: Any) -> list[str]:
+    return [field.name for field in dataclasses.fields(made)]
 
 
 def of_class(made: Any) -> Callable[[str, Any], Any]:
@@ -322,6 +421,7 @@ def of_class(made: Any) -> Callable[[str, Any], Any]:
             raise_invalid(field, value, f"a {made.__name__}, or a table of its fields")
         return value
 
+    setattr(check, "made", made)  # noqa: B010 - mypy forbids the plain assignment
     return check
 
 
@@ -330,11 +430,10 @@ def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
 
     def decorate(made: type[_Made]) -> type[_Made]:
         make = made.__init__
-        names = [field.name for field in dataclasses.fields(cast(Any, made))]
 
         @functools.wraps(make)
         def checked(self: _Made, *args: Any, **fields: Any) -> None:
-            known_fields(fields, names, what)
+            _known_fields_of(made, fields, what)
             make(self, *args, **fields)
 
         setattr(made, "__init__", checked)  # noqa: B010 - mypy forbids the plain assignment

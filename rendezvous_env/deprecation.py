@@ -2,7 +2,7 @@
 
 import functools
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -21,6 +21,26 @@ def renamed_attribute(old: str, new: str, label: str = "") -> Any:
         return getattr(owner, new)
 
     return property(read, doc=f"Deprecated: ``{new}``.")
+
+
+class RenamedKeys(dict[str, Any]):
+    """Dict that also has the former names of its keys, by subscript and ``get``."""
+
+    def __init__(self, items: Mapping[str, Any], former: Mapping[str, str]) -> None:
+        super().__init__(items)
+        self._former = dict(former)
+
+    def __missing__(self, key: str) -> Any:
+        if key in self._former:
+            warn_renamed(repr(key), repr(self._former[key]))
+            return self[self._former[key]]
+        raise KeyError(key)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Value of a key, a former name of it included."""
+        if key not in self and self._former.get(key) in self:
+            warn_renamed(repr(key), repr(self._former[key]))
+        return super().get(self._former.get(key, key) if key not in self else key, default)
 
 
 def renamed_arguments(**names: str) -> Callable[[_Function], _Function]:

@@ -209,23 +209,26 @@ class Simulator(StateView):
         return output
 
     def compile(self) -> None:
-        """Compile all stages of a step, those of contacts and merges too, which a small batch
-        otherwise compiles when for the first time something can meet.
+        """Compile all stages of a step.
+
+        Small batches otherwise compile contacts and merges when one is first possible.
         """
         self._runner.compile()
 
     def _check_ready(self) -> None:
         if not self._ready:
             never = np.flatnonzero(self._state.number < 0)
-            which = f": team {never[0]} has had none" if 0 < len(never) < self.num_envs else ""
+            which = (
+                f": environment {never[0]} has had none" if 0 < len(never) < self.num_envs else ""
+            )
             raise RuntimeError(f"call reset() before step(){which}")
 
     @property
     def supports_step_n(self) -> bool:
         """True if ``step_n`` is available.
 
-        It requires that no user code runs in a step, that observations are those of the engine, and
-        that no robot can exceed its neighbour rows.
+        It requires steps without user code and observations of the engine. No robot may exceed its
+        neighbour rows.
         """
         slots = self.scenario.observation_layout.neighbour_slots
         crowds = slots < self.scenario.n_robots - 1
@@ -343,7 +346,7 @@ class Simulator(StateView):
             return
         team = int(np.argmax(output.neighbour_overflow >= 0))
         raise RuntimeError(
-            f"robot_{output.neighbour_overflow[team]} of team {team} has more than "
+            f"robot_{output.neighbour_overflow[team]} of environment {team} has more than "
             f"neighbour_slots = {slots} neighbours after step {self.steps[team]}; "
             "give the scenario more neighbour_slots"
         )

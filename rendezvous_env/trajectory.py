@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import trajectory_formats, trajectory_views
-from .checks import floats, raise_invalid, short_repr
+from .checks import floats, known_arguments, raise_invalid, raise_other_scenario, short_repr
 from .engine.memory import RENDEZVOUS, RUNNING
 from .field_docs import lists_fields
 from .outcome import StepOutput
@@ -74,7 +74,7 @@ class Trajectory:
     recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Quantities recorded on request, by name."""
     conditions: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
-    """Conditions of robots in each step, (T, B, n), with own clocks or events; see
+    """Conditions of robots in each step, (T, B, n), with asynchronous activation or events; see
     ``Simulator.conditions``."""
     start: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """State after the reset, from which to repeat the rollout; see ``Simulator.get_state``."""
@@ -92,8 +92,13 @@ class Trajectory:
 
     @property
     def collision_free(self) -> NDArray[np.bool_]:
-        """Environments without contact, (B,); with ``success`` the usual metric."""
+        """Environments without contact, (B,), whether or not the robots met."""
         return np.asarray(~self.contacts.any(axis=(0, 2)))
+
+    @property
+    def collision_free_success(self) -> NDArray[np.bool_]:
+        """Environments in which all robots met without contact, (B,), the metric of all tables."""
+        return self.success & self.collision_free
 
     @property
     def observations(self) -> NDArray[np.float32]:
@@ -183,10 +188,30 @@ def begin(policy: Policy, simulator: Simulator) -> None:
 
     Calls its ``reset(mask=None)`` and ``watch(simulator)``, if present. Only privileged policies,
     which read positions, have ``watch``.
+
+    Raises:
+        ValueError: for a policy made for other robots or other observation rows.
     """
+    _check_made_for(policy, simulator.scenario)
     for method, arguments in (("reset", ()), ("watch", (simulator,))):
         if callable(found := getattr(policy, method, None)):
             found(*arguments)
+
+
+def _check_made_for(policy: Policy, scenario: Scenario) -> None:
+    """Raise an error for a policy whose own scenario has other robots or observations."""
+    made_for = getattr(policy, "scenario", None)
+    if not isinstance(made_for, Scenario):
+        return
+    names = ("robot_model", "dim", "neighbour_slots", "obstacle_slots")
+    own, here = (
+        (one.robot_model, one.dim, layout.neighbour_slots, layout.obstacle_slots)
+        for one in (made_for, scenario)
+        for layout in [one.observation_layout]
+    )
+    differing = {name: (a, b) for name, a, b in zip(names, own, here, strict=True) if a != b}
+    if differing:
+        raise_other_scenario(type(policy).__name__, made_for.name, scenario.name, differing)
 
 
 def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32]) -> Iterator[Step]:
@@ -210,6 +235,7 @@ def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32])
         observations = outcome.observations
 
 
+@known_arguments
 def rollout(
     scenario: Scenario | str | os.PathLike[str],
     policy: Policy,
@@ -308,9 +334,9 @@ def _warn_of_size(simulator: Simulator, a_state: int, asked: tuple[str, ...]) ->
     actions = 4 * n * size if "actions" in asked else 0
     a_step = a_state + simulator.num_envs * (3 * 8 + n + actions)  # V twice, reward, contacts
     if (total := a_step * (simulator.max_steps + 1)) > _MUCH:
-        advice = "take fewer teams or steps" + (", or record less" if asked else "")
+        advice = "take fewer environments or steps" + (", or record less" if asked else "")
         warnings.warn(
             f"this rollout may keep {total / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
             f"{simulator.max_steps} steps; {advice}",
-            stacklevel=3,
+            stacklevel=4,  # of the caller of ``rollout``, which is decorated
         )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import check_int, load, raise_invalid
+from .checks import check_int, counted, load, raise_invalid
 from .scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -120,15 +120,15 @@ def one_line(trajectory: Any) -> str:
     ended = "met" if met else "did not meet"
     if count > 1:
         ended = f"{met} of {count} met"
-    free = int((trajectory.success & trajectory.collision_free).sum())
+    free = int(trajectory.collision_free_success.sum())
     if scenario.obstacles:
         ended += f", {free} collision-free" if count > 1 else ", collision-free" * free
     kept = f", recorded: {', '.join(recorded)}" if recorded else ""
     under = f" under {policy}" if policy else ""
     return (
         f"<Trajectory of {scenario.name!r}{under}: "
-        f"{count} environment{'s' * (count > 1)}, {trajectory.positions.shape[2]} robots, "
-        f"{len(trajectory.times) - 1} steps, "
+        f"{counted(count, 'environment')}, {trajectory.positions.shape[2]} robots, "
+        f"{counted(len(trajectory.times) - 1, 'step')}, "
         f"{float(trajectory.times[-1]):.4g} s; {ended}{kept}>"
     )
 

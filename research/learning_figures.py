@@ -40,7 +40,7 @@ def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
     axes = figure.add_subplot()
     for colour, (name, folder) in zip(_COLOURS * len(runs), runs.items(), strict=False):
         metrics = results.read_csv(folder / "metrics.csv")
-        steps, share = _columns(metrics[_FIRST_UPDATES:], "clean_success")
+        steps, share = _columns(metrics[_FIRST_UPDATES:], "collision_free_success")
         axes.plot(steps, 100 * share, color=colour, linewidth=0.6, alpha=0.5)
         evaluated = results.read_csv(folder / "evaluation.csv")
         _draw_held_out(
@@ -63,8 +63,8 @@ def _columns(
 
 
 def _draw_held_out(axes: Axes, rows: Sequence[Mapping[str, str]], colour: str, name: str) -> None:
-    steps, share = _columns(rows, "clean_success")
-    low, high = (_columns(rows, end)[1] for end in ("clean_low", "clean_high"))
+    steps, share = _columns(rows, "collision_free_success")
+    low, high = (_columns(rows, end)[1] for end in ("collision_free_low", "collision_free_high"))
     spread = 100 * np.stack([share - low, high - share])
     axes.errorbar(
         steps, 100 * share, spread, color=colour, fmt="o-", markersize=3, elinewidth=0.8, label=name

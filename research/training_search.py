@@ -45,7 +45,7 @@ def search(config: ppo.Config, share: float) -> str:
 
     def on_update(update: int, metrics: dict[str, Any]) -> bool:
         nonlocal reached
-        met = any(row["clean_success"] >= share for row in metrics["evaluation"])
+        met = any(row["collision_free_success"] >= share for row in metrics["evaluation"])
         if met:
             taken = time.process_time() - began
             by_clock = f"{metrics['wall_s']:.0f} s by the clock"
@@ -58,7 +58,7 @@ def search(config: ppo.Config, share: float) -> str:
         sys.exit(str(error))
     if result.status:
         sys.exit(result.status)
-    best, final = (100 * rows[0]["clean_success"] for rows in (result.best, result.final))
+    best, final = (100 * rows[0]["collision_free_success"] for rows in (result.best, result.final))
     return f"{reached} | best {best:.1f} %, last {final:.1f} % at {result.steps / 1e6:.2f} M"
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 import rendezvous_env as rv
-from rendezvous_env.deprecation import renamed_arguments, renamed_attribute
+from rendezvous_env.deprecation import RenamedKeys, renamed_arguments, renamed_attribute
 from train.learn.settings import Config
 
 NUM_ENVS = pytest.warns(DeprecationWarning, match="num_teams is called num_envs now")
@@ -34,6 +34,17 @@ def test_renamed_attribute_reads_the_new_one():
     with pytest.warns(DeprecationWarning, match="^Wheel.size is called radius now$") as warned:
         assert Wheel(0.5).size == 0.5
     assert warned[0].filename == __file__
+
+
+def test_renamed_keys_read_the_new_ones():
+    row = RenamedKeys({"radius": 0.2}, {"size": "radius", "age": "years"})
+    for read in (lambda: row["size"], lambda: row.get("size")):
+        with pytest.warns(DeprecationWarning, match="^'size' is called 'radius' now$") as warned:
+            assert read() == 0.2
+        assert warned[0].filename == __file__
+    assert row.get("age", 3) == 3 and row.get("other") is None and row == {"radius": 0.2}
+    with pytest.raises(KeyError, match="other"):
+        row["other"]
 
 
 def test_training_env_accepts_touch_penalty():

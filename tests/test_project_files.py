@@ -73,3 +73,24 @@ def test_image_holds_every_file_that_it_copies():
     names = {name for line in copied for name in line.split()}
     assert names == {line.removeprefix("!") for line in kept if line.startswith("!")}
     assert all((ROOT / name).exists() for name in names)
+
+
+def recipe(target: str) -> str:
+    """Commands of a target of the Makefile."""
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    found = re.search(rf"^{target}:.*\n((?:\t.*\n)+)", makefile, flags=re.MULTILINE)
+    assert found is not None, target
+    return found[1]
+
+
+def test_every_workflow_container_and_script_is_linted():
+    linted = recipe("lint-ci")
+    assert all(path in linted for path in (".github/workflows", "Dockerfile", ".ci/run"))
+    pinned = (ROOT / "constraints-lint.txt").read_text(encoding="utf-8")
+    for tool in ("check-jsonschema", "zizmor", "hadolint", "shellcheck"):
+        assert f"/{tool} " in linted and tool in pinned
+
+
+def test_newer_pythons_run_folders_that_exist():
+    folders = re.findall(r"tests/\w+", recipe("test-pythons"))
+    assert len(folders) > 3 and all((ROOT / folder).is_dir() for folder in folders)

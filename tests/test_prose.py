@@ -19,6 +19,13 @@ LONGEST = 25
 """Maximum number of words of a sentence."""
 LONGEST_CELL = 22
 """Maximum number of words of a table cell."""
+LONGEST_PAGE = 600
+"""Maximum number of words of a page of FEATURE_PAGES, code included."""
+FEATURE_PAGES = (
+    "activation", "certify", "failures", "jax", "maps", "measured-sensors", "moving-obstacles",
+    "play", "quickstart-control", "quickstart-rl", "write-a-law",
+)  # fmt: skip
+"""Pages of one feature or task each."""
 BANNED = re.compile(
     r"\b(whom|whoever|nobody|everybody|somebody|everyone|someone|of which|whose own|one's own"
     r"|as told|in turns?|so many|what is|by how much|comes? home|goes any way|in the air|turns? up"
@@ -126,6 +133,12 @@ def test_page_words_are_those_of_the_field(page):
         for match in re.finditer(rf"\b({term})\b", text, re.IGNORECASE)
     ]
     assert not found, found
+
+
+@pytest.mark.parametrize("name", FEATURE_PAGES)
+def test_feature_page_is_short(name):
+    text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    assert sum(bool(re.search(r"\w", word)) for word in text.split()) <= LONGEST_PAGE
 
 
 def test_docstrings_approach_the_rules():

@@ -7,11 +7,6 @@ from typing import Any
 import rich.console
 
 
-def counted(count: int, noun: str) -> str:
-    """A count with its noun, in the plural unless it is 1."""
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
 class Console(rich.console.Console):
     """Console without markup, so that brackets and colons in names are printed unchanged.
 

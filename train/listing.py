@@ -10,6 +10,7 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from rendezvous_env import baselines
+from rendezvous_env.checks import counted
 from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.obstacles.moving import moving_slots
@@ -111,5 +112,6 @@ def _obstacles(scenario: Scenario) -> str:
     if isinstance(field, WallField):
         return f"{field.layout} of drawn walls"
     moving = len(moving_slots(field))
-    kind = f"fixed obstacle{'s' if len(field) > 1 else ''}"
-    return f"{len(field)} {kind}" if not moving else f"{len(field)} obstacles, {moving} moving"
+    if not moving:
+        return counted(len(field), "fixed obstacle")
+    return f"{counted(len(field), 'obstacle')}, {moving} moving"

@@ -213,6 +213,9 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
             field, equals, value = change.partition("=")
             if not equals:
                 raise UserError(f"--set {change}: write FIELD=VALUE, as in n_robots=9")
+            table, dot, inner = field.partition(".")
+            if dot:
+                raise UserError(f"--set {change}: write {table}={{{inner}={value}}}")
             if field in given:
                 raise UserError(f"--set {change}: {field} is named twice; give one value")
             try:

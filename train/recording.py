@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.checks import counted
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.obstacles.moving import moves
 from rendezvous_env.scenario.scenario import Scenario
@@ -185,7 +186,7 @@ def observations(recording: Recording, scenario: Scenario) -> NDArray[np.float32
     tables = {name: recording.get(name, np.zeros((0, 0))) for name in LINKS if name in state}
     for name, table in tables.items():
         if len(table) != row[-1] + 1:
-            raise ValueError(f"{name} has {len(table)} rows; it must have {row[-1] + 1}")
+            raise ValueError(f"{name} has {counted(len(table), 'row')}; it must have {row[-1] + 1}")
     state |= {name: table[row] for name, table in tables.items()}
     state |= {
         "positions": recording["positions"],

@@ -22,8 +22,18 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .checks import UserError, user_error
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 """Format version of the files of ``compare``; raised with every visible change."""
+READABLE_VERSIONS = (5, 6)
+"""Format versions that this version reads."""
+FORMER_COLUMNS = {
+    former: former.replace("clean", "collision_free", 1)
+    for former in (
+        "clean_success", "clean_low", "clean_high", "clean_difference", "clean_difference_low",
+        "clean_difference_high",
+    )
+}  # fmt: skip
+"""Columns by the names that they have in older files."""
 
 _INTERVAL = "of the 95 % interval of the column before it; empty for a single start"
 
@@ -31,13 +41,13 @@ RESULTS = {
     "scenario": "name of the scenario",
     "policy": "name of the policy",
     "episodes": "number of starts",
-    "success": "fraction of teams that met, 0 to 1",
+    "success": "fraction of episodes that met, 0 to 1",
     "success_low": f"lower end {_INTERVAL} (Wilson)",
     "success_high": "upper end of it",
-    "clean_success": "fraction of teams that met without touching an obstacle; empty where robots "
-    "pass through obstacles",
-    "clean_low": f"lower end {_INTERVAL} (Wilson)",
-    "clean_high": "upper end of it",
+    "collision_free_success": "fraction of episodes that met without contact with an obstacle; "
+    "empty where robots pass through obstacles",
+    "collision_free_low": f"lower end {_INTERVAL} (Wilson)",
+    "collision_free_high": "upper end of it",
     "median_time": "median time of rendezvous, s; a time-out counts as later than any time",
     "time_low": f"lower end {_INTERVAL} (bootstrap), s",
     "time_high": "upper end of it, s",
@@ -55,9 +65,11 @@ PAIRED = {
     "scenario": "name of the scenario",
     "policy": "name of the policy",
     "against": "the policy that it is compared with, start by start",
-    "clean_difference": "collision-free success of the policy minus that of against, fractions",
-    "clean_difference_low": f"lower end {_INTERVAL} (bootstrap; Wilson where all starts agree)",
-    "clean_difference_high": "upper end of it",
+    "collision_free_difference": "collision-free success of the policy minus that of against, "
+    "fractions",
+    "collision_free_difference_low": f"lower end {_INTERVAL} (bootstrap; Wilson where all starts "
+    "agree)",
+    "collision_free_difference_high": "upper end of it",
     "probability_of_improvement": "chance of doing better on a start, without a collision "
     "and sooner; a tie counts half",
     "improvement_low": f"lower end {_INTERVAL} (likewise)",
@@ -154,9 +166,18 @@ def plain(value: Any) -> Any:
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """Rows of a file of ``write_csv``, cells as text."""
+    """Rows of a file of ``write_csv``, cells as text, former columns by their current names."""
     with path.open(newline="", encoding="utf-8-sig") as file:
-        return list(csv.DictReader(file))
+        reader = csv.DictReader(file)
+        reader.fieldnames = current_columns(reader.fieldnames or ())
+        return list(reader)
+
+
+def current_columns(columns: Sequence[str]) -> list[str]:
+    """Names of columns, those of older files replaced; other tables have their own "clean_low"."""
+    if not {"clean_success", "clean_difference"} & set(columns):
+        return list(columns)
+    return [FORMER_COLUMNS.get(name, name) for name in columns]
 
 
 def grouped(rows: Iterable[Row], column: str) -> dict[Any, list[Row]]:

@@ -23,6 +23,7 @@ from rendezvous_env.baselines.learned import plain_data
 
 import rendezvous_env
 from rendezvous_env import baselines
+from rendezvous_env.checks import counted
 
 from . import results
 from .checks import UserError, user_error
@@ -125,13 +126,14 @@ class RunCheckpoint:
                 shutil.rmtree(self.whole, ignore_errors=True)
                 self.whole.mkdir()
                 if count := self._count():
-                    said = f"resumes with {count} finished tasks in {self.folder}"
+                    said = f"resumes with {counted(count, 'finished task')} in {self.folder}"
                     console.print(said, soft_wrap=True)
                 yield
             except KeyboardInterrupt as error:
                 if count := self._count():
                     error.add_note(
-                        f"{count} finished tasks lie in {self.folder}; the same command resumes"
+                        f"the same command resumes with {counted(count, 'finished task')} in "
+                        f"{self.folder}"
                     )
                 raise
             finally:

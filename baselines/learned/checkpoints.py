@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rendezvous_env.checks import raise_invalid
+from rendezvous_env.checks import counted, raise_invalid
 
 from .plain_data import check_types, digest_of_rest, entry, read_json
 
@@ -118,8 +118,8 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         content = path.read_bytes()
     if len(content) != expected.get("bytes"):
         raise CheckpointError(
-            f"{path}: has {len(content)} bytes; it must have {expected.get('bytes')}, so it is "
-            "truncated or another file"
+            f"{path}: has {counted(len(content), 'byte')}; it must have "
+            f"{expected.get('bytes')}, so it is truncated or another file"
         )
     if entry(content) != expected:
         raise CheckpointError(f"{path}: its content was changed: sha256 differs from {DESCRIPTION}")

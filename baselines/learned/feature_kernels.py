@@ -9,7 +9,8 @@ from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS
 from rendezvous_env.safety.heading import scale_of_step
 
-from ..obstacle_rules.merged_silhouettes_2d import TWO_PI, joined_interval_2d
+from ..obstacle_rules.merged_silhouettes_2d import TWO_PI, interval_around, merged_interval
+from ..obstacle_rules.silhouettes import list_seen
 
 NEIGHBOUR_COLUMNS = 3
 """Number of features of a neighbour: unit bearing x, y; edge weight a_ij, m/s."""
@@ -75,17 +76,20 @@ def _velocity(given, f, degree, h, robot):
 
 
 @kernel
-def show(part, which, observations, moving, known, memory, tanks, shown):
+def show(part, which, seen, moving, known, memory, tanks, shown):
     """Fill the feature rows (B, n, size) of some environments, and update their memory.
+
+    ``seen`` are observations (B, n, rows, 2) and their pairs of float32 as int64, (B, n, rows, 1).
 
     ``which`` are environments and the s since their last decision, (B,); ``part`` is a range of
     these. ``moving`` are headings and velocities, (B, n, 2), or (B, n, 0). ``tanks`` are stored
     energies (B, n, 1) or (B, n, 0), and the memory of walls, (B, n, 14) or (B, n, 0). ``known`` are
     a Robot and the number of columns before the context. ``memory`` consists of the edges at the
     last decision, (B, n, M, 2, 2), zero if not visible, of MEMORY, (B, n, 11), and of working
-    memory (M, 2).
+    memory (M, 2) and (M + 1,).
     """
-    (teams, elapsed), (edges, memories, intervals), (headings, velocities) = which, memory, moving
+    (teams, elapsed), (edges, memories, room), (headings, velocities) = which, memory, moving
+    (observations, bits), (intervals, listed) = seen, room
     (robot, before_context), (levels, walls) = known, tanks
     K, M = robot.neighbour_slots, intervals.shape[0]
     for k in range(part[0], part[1]):
@@ -107,10 +111,12 @@ def show(part, which, observations, moving, known, memory, tanks, shown):
             context[0], context[1] = strength / degree, min(strength, 2.0)
             context[2] = 1.0 / count
             _show_neighbours(rows, u, K, out)
-            _show_obstacles(rows, u, edges[team, i], time, K, out)
+            visible = listed[: list_seen(bits[team, i], K, M, listed)]
+            _show_obstacles(rows, u, edges[team, i], time, visible, K, out)
             _show_motion(memories[team, i], u, heading, velocity, time, kept, context[3:16])
-            silhouettes = rows[K : K + 2 * M].reshape((M, 2, 2))
-            _show_joined(joined_interval_2d(u, silhouettes, intervals), context[_BLOCKED:])
+            for m in range(len(visible)):
+                interval_around(u, rows[visible[m] : visible[m] + 2], intervals[m])
+            _show_joined(merged_interval(intervals[: len(visible)]), context[_BLOCKED:])
             if levels.shape[2] > 0:
                 level = math.log1p(levels[team, i, 0])
                 context[CONTEXT_COLUMNS] = level
@@ -154,22 +160,26 @@ def _show_neighbours(rows, u, neighbour_slots, out):
 
 
 @inner_kernel
-def _show_obstacles(rows, u, before, time, neighbour_slots, out):
-    """Write both edges of each obstacle, and their rotation rates since ``before``, (M, 2, 2)."""
-    for m in range(before.shape[0]):
-        row, column = neighbour_slots + 2 * m, m * OBSTACLE_COLUMNS
-        column += neighbour_slots * NEIGHBOUR_COLUMNS
+def _show_obstacles(rows, u, before, time, visible, neighbour_slots, out):
+    """Write both edges of each obstacle, and their rotation rates since ``before``, (M, 2, 2).
+
+    Obstacles whose first rows are ``visible`` are stored there for the next decision, others as 0.
+    """
+    for row in visible:
+        m = (row - neighbour_slots) // 2
+        column = neighbour_slots * NEIGHBOUR_COLUMNS + m * OBSTACLE_COLUMNS
         known = before[m, 0, 0] != 0.0 or before[m, 0, 1] != 0.0
-        if rows[row, 0] == 0.0 and rows[row, 1] == 0.0:
-            before[m, :] = 0.0
-            continue
         for s in range(2):
             x, y, first = np.float64(rows[row + s, 0]), np.float64(rows[row + s, 1]), column + 2 * s
             _along(x, y, u, out[first : first + 2])
             if known:
                 last = before[m, s, 0], before[m, s, 1]
                 out[column + 4 + s] = _turn_rate(last, (x, y), time)
-            before[m, s, 0], before[m, s, 1] = x, y
+    before[:] = 0.0
+    for row in visible:
+        m = (row - neighbour_slots) // 2
+        for s in range(2):
+            before[m, s, 0], before[m, s, 1] = rows[row + s, 0], rows[row + s, 1]
 
 
 @inner_kernel

@@ -160,18 +160,25 @@ class Features(StatefulMixin):
             times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
         if shown is None:
             shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
-        given = (teams, times), observations, moving, self._known
+        seen = observations, np.ascontiguousarray(observations).view(np.int64)
+        given = (teams, times), seen, moving, self._known
         tanks = nothing if levels is None else levels[..., np.newaxis], self._walls.array
         weight = _WEIGHT * robots[1]
 
         def calls_of(part: Slice) -> Calls:
-            memory = self._edges, self._records.array, np.empty((slots, 2))
+            room = np.empty((slots, 2)), np.empty(slots + 1, np.int64)
+            memory = self._edges, self._records.array, room
             return [partial(show, part, *given, memory, tanks, shown)]
 
         over_teams(calls_of, len(teams), weight, self._num_threads)
         return shown
 
+    @property
+    def remembers_angles(self) -> bool:
+        """True if chosen angles are part of the memory."""
+        return self._walls.array.size > 0
+
     def note(self, angles: Array) -> None:
-        """Store the chosen angles (B, n), rad."""
-        if self._walls.array.size:
+        """Store the chosen angles (B, n), rad, if they are part of the memory."""
+        if self.remembers_angles:
             self._walls.views["angle"][...] = angles

@@ -6,28 +6,24 @@ identical in training and in use.
 
 import math
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import check_shape, floats, raise_invalid
-from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import check_observations
 from rendezvous_env.engine.threads import Calls, Slice
-from rendezvous_env.physics.neighbour_rows import net_bearing_of
-from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
-from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
-from rendezvous_env.safety.safety_filter import over_teams
+from rendezvous_env.safety.heading import HeadingFilter
+from rendezvous_env.safety.safety_filter import over_robots, over_teams
 from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
 from ..obstacle_rules.planes_in_space import PASSABLE
 from ..policy import Float32, Mask
 from ..steady_frames import OdometryFrame, SteadyPlanes
-from ..steering import WITHIN
 from .features import Features
+from .guide_kernels import Rule, aim, desired_velocities, room_for_aim, unit_vectors
 from .policy_settings import PolicySettings
 
 Array = NDArray[np.float64]
@@ -36,7 +32,7 @@ Array = NDArray[np.float64]
 class CommandedTank(EnergyTank):
     """``EnergyTank`` without feedback about contacts and merges: steps are booked as commanded."""
 
-    uses_feedback = False
+    uses_feedback, reuses_calls = False, True
 
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, frame="local", **arguments)
@@ -79,6 +75,8 @@ class HeadingTankFilter(CommandedTank):
     Δ = τ min(v_max, s ‖f‖) h,   s = min(1, r/(2 D τ))
     """
 
+    reuses_calls = True
+
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, **arguments)
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
@@ -103,47 +101,9 @@ class HeadingTankFilter(CommandedTank):
     ) -> Calls:
         """As ``CommandedTank.apply_calls``."""
         memory, mine = (self.carried, self._held), slice(*part[:2])
-        desire = partial(_desired_velocities, part, observations, self._robot, *memory)
+        desire = partial(desired_velocities, part, observations, self._robot, *memory)
         note = partial(np.copyto, self._velocities[mine], actions[mine])
         return [desire, *super().apply_calls(part, observations, actions), note]
-
-
-@kernel
-def _desired_velocities(teams, observations, robot, headings, held):
-    """Desired velocities of a HeadingTankFilter, in units of v_max, along headings (B, n, d)."""
-    K = robot.neighbour_slots
-    for team in range(teams[0], teams[1]):
-        for i in range(observations.shape[1]):
-            rows = observations[team, i]
-            degree, strength = 0.0, norm(net_bearing_of(rows, K))
-            for k in range(K):  # each length in float32, as ``ObservationLayout.degree`` has it
-                degree += np.float64(np.sqrt(rows[k, 0] * rows[k, 0] + rows[k, 1] * rows[k, 1]))
-            law_speed = scale_of_step(degree, robot.merge_radius, robot.gate.duration) * strength
-            share = WITHIN * min(law_speed / robot.speed_limit, 1.0)
-            store(scaled(load(headings[team, i]), share), held[team, i])
-
-
-class _Rule(NamedTuple):
-    """Parameters of the rule of merged intervals for kernels."""
-
-    neighbour_slots: int
-    clearance: float  # rad
-    persistence: float
-
-
-@kernel
-def _aim(teams, observations, directions, rule, headings, raw, intervals):
-    """Directions of the rule for f rotated by (B, n, 2), to raw (B, n, 2)."""
-    K, M = rule.neighbour_slots, intervals.shape[0]
-    for team in range(teams[0], teams[1]):
-        for i in range(observations.shape[1]):
-            rows, turned = observations[team, i], directions[team, i]
-            f, (c, s) = net_bearing_of(rows, K), (turned[0], turned[1])
-            length, aside = split((c * f[0] - s * f[1], s * f[0] + c * f[1], 0.0))
-            towards = aside if length > 0.0 else X_AXIS
-            silhouettes = rows[K : K + 2 * M].reshape((M, 2, 2))
-            carried, how = load(headings[team, i]), (rule.clearance, rule.persistence)
-            store(joined_heading_2d(towards, silhouettes, carried, how, intervals), raw[team, i])
 
 
 class GuidedTeams:
@@ -158,7 +118,7 @@ class GuidedTeams:
     decision, and ``apply`` in every step. Arguments and errors are those of ``Features``.
     """
 
-    uses_feedback = False  # as ``CommandedTank``
+    uses_feedback, reuses_calls = False, True  # as ``CommandedTank``
     action_diagnostics = ()
 
     def __init__(
@@ -180,8 +140,8 @@ class GuidedTeams:
         )
         layout, team = scenario.observation_layout, (num_envs, scenario.n_robots)
         clearance, certified = float(settings.clearance), settings.guarantee == "heading"
-        self._rule = _Rule(layout.neighbour_slots, clearance, float(settings.persistence))
-        self._seen, self._obstacle_slots = (*team, *layout.shape), layout.obstacle_slots
+        self._rule = Rule(layout.neighbour_slots, clearance, float(settings.persistence))
+        self._seen = *team, *layout.shape
         self._batch, self._action_size = (*team, num_threads), scenario.action_size
         most = settings.max_turn_rate if certified else math.inf
         self.bodies: OdometryFrame | SteadyPlanes | None = None
@@ -247,8 +207,8 @@ class GuidedTeams:
         is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
         for team, robot in np.argwhere(~is_choice):
             raise ValueError(
-                f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be "
-                f"an integer below {count}"
+                f"action of robot_{robot} in environment {team} is {given[team, robot]}; it must "
+                f"be an integer below {count}"
             )
         self.choices = numbers.astype(np.int64)
         self._directions = self._turns[self.choices]
@@ -261,14 +221,17 @@ class GuidedTeams:
         """
         given = floats("actions", vectors)
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
-        for team, robot, _ in np.argwhere(~np.isfinite(given)):
+        turned = np.empty(given.shape)
+        if not unit_vectors(given, turned, tuple(self._turns[0])):
+            team, robot, _ = np.argwhere(~np.isfinite(given))[0]
             raise_invalid(
-                f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite"
+                f"action of robot_{robot} in environment {team}",
+                given[team, robot].tolist(),
+                "finite",
             )
-        length = np.linalg.norm(given, axis=-1, keepdims=True)
-        unit = given / np.where(length > 0.0, length, 1.0)
-        self._directions = turned = np.where(length > 0.0, unit, self._turns[0])
-        self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
+        self._directions = turned
+        if self.perception.remembers_angles:
+            self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:
         """Actions (B, n, a) for observations (B, n, rows, d).
@@ -286,19 +249,26 @@ class GuidedTeams:
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``apply``, unchecked, for a slice, with output ``actions``."""
-        carried, intervals = self._carried, np.empty((self._obstacle_slots, 2))
-        aim, bodies = (self._directions, self._rule), self.bodies
+        carried, bodies = self._carried, self.bodies
         steer = self.steering.apply_calls(part, observations, actions, elapsed)
         if bodies is None:
             raw = self.steering.held if self.tank is None else carried
-            return [partial(_aim, part, observations, *aim, carried, raw, intervals), *steer]
+            return [*self._aim_calls(part, observations, carried, raw), *steer]
 
         def follow() -> None:
             there = bodies.seen(observations, np.arange(*part[:2]))
-            _aim(part, there, *aim, carried, carried, intervals)
+            for one in self._aim_calls(part, there, carried, carried):
+                one()
             bodies.follow(part, observations, self.steering.held)
 
         return [follow, *steer, partial(bodies.turn, part, actions)]
+
+    def _aim_calls(self, part: Slice, observations: Float32, carried: Array, raw: Array) -> Calls:
+        """Call that writes the directions of the rule to ``raw``, (B, n, 2)."""
+        work = room_for_aim(observations.shape[2], self._rule.neighbour_slots)
+        bits = np.ascontiguousarray(observations).view(np.int64)
+        arrays = observations, bits, self._directions, carried, raw
+        return over_robots(aim, part, self._rule, *arrays, work=work)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """No operation, see ``uses_feedback``."""

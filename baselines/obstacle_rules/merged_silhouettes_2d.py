@@ -13,6 +13,7 @@ from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
 _A_LITTLE_LESS = 1.0 - 1e-9
+_UNDECIDED = 1e-9  # rad; costs closer than this are compared exactly
 _FAR = 100.0  # rad; bound of sums of angles in this module
 
 
@@ -24,8 +25,8 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
     f lies in it or within the clearance, the heading is its nearer edge. The edge is moved outward
     by the clearance, or by half of the gap to the next interval if that is less. Without a blocking
     interval, or without any free direction, the heading is f. Within the clearance of two intervals
-    the nearer one counts. With a persistence λ ≥ 0 the nearer edge minimises the angle from f plus
-    λ times the angle from the carried heading, which prevents frequent changes of side.
+    the nearer one counts. The nearer edge minimises the angle from f plus λ ≥ 0 times the angle
+    from the carried heading. This persistence λ prevents frequent changes of side.
 
     Inputs are fᵢ, (N, 2), and silhouettes (N, M, 2, 2), counter-clockwise edge first. The clearance
     is in rad; carried headings, (N, 2), are zero where undefined. The output is ``out``, (N, 2).
@@ -40,23 +41,37 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
 @inner_kernel
 def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
     """``joined_headings_2d`` of one robot, in triples; ``rule`` is clearance and persistence."""
-    clearance, persistence = rule
-    if is_clear(towards, silhouettes, clearance):
+    if is_clear(towards, silhouettes, rule[0]):
         return towards
-    kept, weight = 0.0, 0.0
-    if carried[0] != 0.0 or carried[1] != 0.0:
-        kept = math.atan2(cross_in_plane(towards, carried), dot(towards, carried))
-        weight = persistence
-    low, high, gap_below, gap_above = joined_interval_2d(towards, silhouettes, intervals)
+    count = intervals_around(towards, silhouettes, intervals)
+    return heading_past(towards, intervals[:count], carried, rule)
+
+
+@inner_kernel
+def heading_past(towards, intervals, carried, rule):
+    """Heading past merged intervals (count, 2) around a unit triple, see ``joined_headings_2d``."""
+    clearance, persistence = rule
+    low, high, gap_below, gap_above = merged_interval(intervals)
     turn = 0.0
     if not (high - low >= TWO_PI or low >= clearance or high <= -clearance):
-        above = high + weight * _between(high, kept)
-        below = -low + weight * _between(low, kept)
-        if above <= below:
+        if _is_upper_nearer(low, high, towards, carried, persistence):
             turn = high + min(clearance, 0.5 * gap_above)
         else:
             turn = low - min(clearance, 0.5 * gap_below)
     return rotated(towards, turn)
+
+
+@inner_kernel
+def _is_upper_nearer(low, high, towards, carried, persistence):
+    """True if the counter-clockwise edge costs less: its angle plus λ times that from carried."""
+    if carried[0] == 0.0 and carried[1] == 0.0:
+        return high <= -low
+    # the two angles from carried differ by no more than the edges do
+    if abs(high + low) > persistence * _between(high, low) + _UNDECIDED:
+        return high < -low
+    kept = math.atan2(cross_in_plane(towards, carried), dot(towards, carried))
+    above = high + persistence * _between(high, kept)
+    return above <= -low + persistence * _between(low, kept)
 
 
 @inner_kernel
@@ -66,23 +81,35 @@ def is_clear(towards, silhouettes, clearance):
     The same then holds for their merged intervals. The test computes no angle and applies to most
     robots in most steps.
     """
-    if clearance >= 0.5 * math.pi:
-        return False
-    least = math.cos(clearance) ** 2 * _A_LITTLE_LESS
+    least = least_square_cosine(clearance)
     for m in range(silhouettes.shape[0]):
-        if not is_seen(silhouettes[m]):
-            continue
-        last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
-        width = cross_in_plane(first, last)
-        if width < 0.0 or (width == 0.0 and dot(first, last) > 0.0):  # wider than π, or a point
-            return False
-        if cross_in_plane(first, towards) >= 0.0 and cross_in_plane(towards, last) >= 0.0:
-            return False
-        for edge in (first, last):
-            ahead = dot(towards, edge)
-            if ahead > 0.0 and ahead * ahead >= least * dot(edge, edge):
+        if is_seen(silhouettes[m]):
+            last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
+            if comes_near(towards, last, first, least):
                 return False
-    return True
+    return clearance < 0.5 * math.pi
+
+
+@inner_kernel
+def least_square_cosine(clearance):
+    """Square cosine of the clearance, rad, a little less; above it, an edge may be too near."""
+    return math.cos(clearance) ** 2 * _A_LITTLE_LESS
+
+
+@inner_kernel(inline="code")
+def comes_near(towards, last, first, least):
+    """True unless a visible silhouette is certainly farther from a unit vector than the clearance.
+
+    Arguments are pairs or triples: the direction, and the counter-clockwise and clockwise edge.
+    ``least`` is from ``least_square_cosine``. It has no branch.
+    """
+    width = cross_in_plane(first, last)
+    wide = (width < 0.0) | ((width == 0.0) & (dot(first, last) > 0.0))  # than π, or a point
+    covers = (cross_in_plane(first, towards) >= 0.0) & (cross_in_plane(towards, last) >= 0.0)
+    before, after = dot(towards, first), dot(towards, last)
+    near_first = (before > 0.0) & (before * before >= least * dot(first, first))
+    near_last = (after > 0.0) & (after * after >= least * dot(last, last))
+    return wide | covers | near_first | near_last
 
 
 @inner_kernel
@@ -96,32 +123,54 @@ def axis_is_clear(rates, silhouettes, gate):
 def joined_interval_2d(towards, silhouettes, intervals):
     """Interval of angles covered by silhouettes (M, 2, 2) around a unit triple, after merging.
 
-    Returns the clockwise and the counter-clockwise edge, rad counter-clockwise from the direction,
-    and the free angles beyond either edge. The merged interval is the one that contains the
-    direction, or else the one with the nearest edge. A full turn between the edges means that no
-    direction is free. Edges of ∞ and −∞ mean that no silhouette is visible. ``intervals``, (M, 2),
-    is working memory.
+    Results as ``merged_interval``. ``intervals``, (M, 2), is working memory.
     """
-    u, count = towards, 0
-    for m in range(silhouettes.shape[0]):  # (first edge, width): from the clockwise edge
+    count = intervals_around(towards, silhouettes, intervals)
+    return merged_interval(intervals[:count])
+
+
+@inner_kernel
+def intervals_around(towards, silhouettes, intervals):
+    """Write the intervals of visible silhouettes (M, 2, 2) to (M, 2); returns their number."""
+    count = 0
+    for m in range(silhouettes.shape[0]):
         if is_seen(silhouettes[m]):
-            last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
-            intervals[count, 0] = math.atan2(cross_in_plane(u, first), dot(u, first))
-            width = math.atan2(cross_in_plane(first, last), dot(first, last))
-            # at contact, rounding or sensor errors may swap the edges
-            intervals[count, 1] = max(width, 0.0) if width > -0.5 * math.pi else width + TWO_PI
+            interval_around(towards, silhouettes[m], intervals[count])
             count += 1
-    seen = intervals[:count]
-    nearest = _nearest_interval(seen)
+    return count
+
+
+@inner_kernel
+def interval_around(towards, silhouette, interval):
+    """Write the clockwise edge and the width of a silhouette (2, 2), rad, to ``interval``, (2,).
+
+    The edge is counter-clockwise from ``towards``, a unit triple.
+    """
+    last, first = load(silhouette[0]), load(silhouette[1])
+    interval[0] = math.atan2(cross_in_plane(towards, first), dot(towards, first))
+    width = math.atan2(cross_in_plane(first, last), dot(first, last))
+    # at contact, rounding or sensor errors may swap the edges
+    interval[1] = max(width, 0.0) if width > -0.5 * math.pi else width + TWO_PI
+
+
+@inner_kernel
+def merged_interval(intervals):
+    """Merged interval that contains the direction 0, or else the one with the nearest edge.
+
+    Inputs are clockwise edges and widths, (count, 2), rad. Returns the clockwise and the
+    counter-clockwise edge, and the free angles beyond either edge. A full turn between the edges
+    means that no direction is free. Edges of ∞ and −∞ mean that there is no interval.
+    """
+    nearest = _nearest_interval(intervals)
     if nearest == STRAIGHT_AHEAD:
         return math.inf, -math.inf, TWO_PI, TWO_PI
-    low, high = _join_from(nearest, seen)
+    low, high = _join_from(nearest, intervals)
     gap_below = gap_above = TWO_PI - (high - low)  # free angle up to the next interval or to itself
-    for k in range(count):
-        after_low = counter_clockwise(seen[k, 0] - low)
+    for k in range(intervals.shape[0]):
+        after_low = counter_clockwise(intervals[k, 0] - low)
         if after_low > high - low:
             gap_above = min(gap_above, after_low - (high - low))
-            gap_below = min(gap_below, TWO_PI - (after_low + seen[k, 1]))
+            gap_below = min(gap_below, TWO_PI - (after_low + intervals[k, 1]))
     return low, high, gap_below, gap_above
 
 

@@ -18,6 +18,9 @@ STRAIGHT_AHEAD = -1
 TOUCHED = 1e-4
 """Sum of opposite points below which rounding to float32 would determine their middle."""
 
+_NO_SIGNS = 0x7FFFFFFF7FFFFFFF
+"""All bits of two float32 but their signs, since zeros have either sign."""
+
 
 @kernel
 def tangent_headings(net_bearing, silhouettes, only_blocking, out):
@@ -48,6 +51,21 @@ def is_seen(points):
         if points[0, k] != 0.0:
             return True
     return False
+
+
+@inner_kernel
+def list_seen(bits, first, obstacles, listed):
+    """List the first rows of visible obstacles of a robot in the plane; returns their number.
+
+    ``bits`` are its rows, pairs of float32 as int64, (rows, 1); row ``first`` is the first of an
+    obstacle. It has no branch: which obstacles are visible is hard to predict.
+    """
+    count = 0
+    for m in range(obstacles):
+        row = first + 2 * m
+        listed[count] = row
+        count += (bits[row, 0] & _NO_SIGNS) != 0
+    return count
 
 
 @inner_kernel

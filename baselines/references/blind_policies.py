@@ -39,7 +39,7 @@ class RandomPolicy(TeamPolicy):
 
     def reset(self, mask: Mask | None = None) -> None:
         """Restart the random stream, shared by all environments; a partial mask has no effect."""
-        if mask is None or bools("mask", mask, None, "teams").all():
+        if mask is None or bools("mask", mask, None, "environments").all():
             self._generator = np.random.default_rng(self.seed)
 
 

@@ -53,7 +53,7 @@ class PrivilegedPolicy(TeamPolicy):
         if mask is None:
             self._fresh = np.ones(batch, bool)
         else:
-            self._fresh = self._fresh | bools("mask", mask, (batch,), "teams")
+            self._fresh = self._fresh | bools("mask", mask, (batch,), "environments")
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """As ``Policy``, for the watched simulator.
@@ -70,7 +70,7 @@ class PrivilegedPolicy(TeamPolicy):
             )
         teams = (simulator.num_envs, self.scenario.n_robots)
         watched = [(*axes, *seen.shape[-2:]) for axes in (teams, teams[teams[0] == 1 :])]
-        check_shape(f"observations of the teams that {self.name} watches", seen, *watched)
+        check_shape(f"observations of the environments that {self.name} watches", seen, *watched)
         steps, active = simulator.steps, simulator.active
         begun = self._fresh | (steps < self._steps)
         self._fresh, self._steps = np.zeros_like(begun), steps

@@ -31,7 +31,7 @@ def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
     """Point that minimises the latest arrival, then the total path length.
 
     Candidates are the robots' positions, (n, d), m, the corners of obstacles and a grid over the
-    team, followed by a finer grid around the best of these.
+    team. A finer grid around the best of these follows.
     """
     to_corners, _ = roadmap.to_corners(positions)
     low, high = positions.min(axis=0), positions.max(axis=0)

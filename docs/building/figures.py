@@ -149,9 +149,7 @@ CLOCKS = {
 
 @styled
 def clocks() -> Any:
-    """V under law (1) with and without own clocks, at the step that held commands need and at the
-    default one.
-    """
+    """V under law (1), synchronous and not, at the step that held commands need and the default."""
     base = rv.Scenario(n_robots=8, graph="cycle", time_limit=15.0)
     wait = rv.Activation(kind="bounded", max_wait=4)
     figure = new_figure(PAGE, 2.3)

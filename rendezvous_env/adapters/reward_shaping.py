@@ -166,9 +166,9 @@ class _Changes:
             before.any() for before in below.final
         ):
             raise TypeError(
-                f"teams are under {type(self._layer).__name__}, which changes observations but not "
-                "infos['final_obs'], the last ones of episodes, by which time-outs are valued; it "
-                "must change both alike"
+                f"environments are under {type(self._layer).__name__}, which changes observations "
+                "but not infos['final_obs'], the last ones of episodes, by which time-outs are "
+                "valued; it must change both alike"
             )
 
 

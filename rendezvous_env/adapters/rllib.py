@@ -99,7 +99,9 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         """Create the vector environment."""
         for name in ("env_to_module_connector", "module_to_env_connector"):
             if getattr(self.config, f"_{name}") is not None:
-                raise ValueError(f"{name} is given; robots have none, wrap the teams instead")
+                raise ValueError(
+                    f"{name} is given; robots have none, wrap the environments instead"
+                )
         if self.env is not None:
             self.env.close()
         creator, settings = self.config.env, dict(self.config.env_config)

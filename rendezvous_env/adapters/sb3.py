@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from ..checks import check_int, check_shape, floats, mapping
+from ..checks import check_int, check_shape, counted, floats, mapping
 from ..deprecation import renamed_arguments
 from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import layers_of
@@ -189,7 +189,7 @@ class RobotVecEnv(VecEnv):
         listed = [options or {}] * self.num_envs if not isinstance(options, list) else options
         if len(listed) != self.num_envs:
             raise ValueError(
-                f"set_options: {len(listed)} entries; give one dict, or one for each of "
+                f"set_options: {counted(len(listed), 'entry')}; give one dict, or one for each of "
                 f"{self.num_envs} slots"
             )
         for each in listed:
@@ -262,5 +262,5 @@ class RobotVecEnv(VecEnv):
         layers = *layers_of(self.teams), self.simulator
         owner = next((layer for layer in layers if hasattr(layer, name)), default)
         if owner is None:
-            raise AttributeError(f"neither the teams nor their simulator have {name!r}")
+            raise AttributeError(f"neither the environments nor their simulator have {name!r}")
         return owner

@@ -8,9 +8,15 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 
+from ..deprecation import RenamedKeys
+
 _MEANS = ("contacts", "path_length")
 _PARTS = ("cost", "reward_")
 """Prefixes of episode keys that are logged as means."""
+
+
+_FORMER = {"clean_success": "collision_free_success"}
+"""Names of the statistics by their former names."""
 
 
 def episode_numbers(episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -20,13 +26,13 @@ def episode_numbers(episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         episodes: ``info["episode"]`` of each, see ``RobotVecEnv``.
 
     Returns:
-        ``episodes``, their number. ``success`` and ``clean_success`` (collision-free), fractions.
+        ``episodes``, their number. ``success`` and ``collision_free_success``, fractions.
         ``median_time``, s, NaN if fewer than half met. ``return``. Means of ``contacts``,
         ``path_length`` in m, each ``cost_NAME`` and each ``reward_NAME``.
     """
     if not episodes:
-        names = ("success", "clean_success", "median_time", "return")
-        return {"episodes": 0, **dict.fromkeys(names, np.nan)}
+        names = ("success", "collision_free_success", "median_time", "return")
+        return RenamedKeys({"episodes": 0, **dict.fromkeys(names, np.nan)}, _FORMER)
     success, contacts, times, earned = (
         np.array([episode[key] for episode in episodes])
         for key in ("success", "contacts", "time", "r")
@@ -34,14 +40,15 @@ def episode_numbers(episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     median = np.median(np.where(success, times, np.inf))
     keys = dict.fromkeys(key for episode in episodes for key in episode)
     means = [key for key in keys if key in _MEANS or key.startswith(_PARTS)]
-    return {
+    numbers = {
         "episodes": len(episodes),
         "success": success.mean(),
-        "clean_success": (success & (contacts == 0)).mean(),
+        "collision_free_success": (success & (contacts == 0)).mean(),
         "median_time": median if np.isfinite(median) else np.nan,
         "return": earned.mean(),
         **{key: float(np.mean([one.get(key, 0.0) for one in episodes])) for key in means},
     }
+    return RenamedKeys(numbers, _FORMER)
 
 
 class EpisodeLog(BaseCallback):
@@ -51,9 +58,9 @@ class EpisodeLog(BaseCallback):
         model.learn(200_000, callback=EpisodeLog())
 
     Each rollout logs the means of the episodes that ended in it, for example
-    ``train/clean_success``; see ``episode_numbers``. Any output of the model's logger works:
-    TensorBoard, CSV, the terminal, and Weights & Biases with ``WandbLog``. The environment must be
-    a ``RobotVecEnv`` without ``VecMonitor``, which would keep only returns and lengths.
+    ``train/collision_free_success``; see ``episode_numbers``. Any output of the model's logger
+    works: TensorBoard, CSV, the terminal, and Weights & Biases with ``WandbLog``. The environment
+    must be a ``RobotVecEnv`` without ``VecMonitor``, which would keep only returns and lengths.
 
     Args:
         prefix: prefix of the names; ``rendezvous train`` uses "train".

@@ -57,10 +57,9 @@ class RobotSlots:
     """B environments of n robots as B·n slots; slot = environment · n + robot.
 
     An environment is reset in the step in which it ends. Rendezvous is a termination; a time-out
-    and a merge are truncations. Such a slot is bootstrapped from its own last observation at a
-    time-out and from its survivor's at a merge, so an early merge is not penalised. With action
-    repeat this requires ``on_merge="follow"``: otherwise the robot earns nothing in the remaining
-    steps.
+    and a merge are truncations. At a time-out a slot is bootstrapped from its own last observation,
+    at a merge from its survivor's, so an early merge is not penalised. With action repeat this
+    requires ``on_merge="follow"``: otherwise the robot earns nothing in the remaining steps.
 
     Args:
         teams: a vector environment with SAME_STEP autoreset, wrapped or not; a ValueError for
@@ -77,8 +76,8 @@ class RobotSlots:
 
     def __init__(self, teams: VectorEnv[Any, Any, Any], *, values_ends: bool = True) -> None:
         if not (isinstance(teams, VectorEnv) and hasattr(teams.unwrapped, "simulator")):
-            kind, made = type(teams).__name__, "rendezvous_env.vector.training_env makes them"
-            raise TypeError(f"teams is of type {kind}; it must be teams as {made}")
+            kind, made = type(teams).__name__, "rendezvous_env.vector.training_env makes one"
+            raise TypeError(f"teams is of type {kind}; it must be a vector environment, {made}")
         mode = teams.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
@@ -228,8 +227,8 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
         for team, array in enumerate(arrays):
             if array.shape != shape:
                 raise ValueError(
-                    f"set_options: {key} of team {team} has shape {array.shape}; that of team 0 "
-                    f"has {shape}, and all must have the same"
+                    f"set_options: {key} of environment {team} has shape {array.shape}; that of "
+                    f"environment 0 has {shape}, and all must have the same"
                 )
         return np.stack(arrays)
 
@@ -242,7 +241,7 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
     for other in options[1:]:
         if other is not first and of_all(other) != of_all(first):
             raise ValueError(
-                f"set_options: all teams need the same keys and obstacles; one has {first}, "
+                f"set_options: all environments need the same keys and obstacles; one has {first}, "
                 f"another {other}"
             )
     own_of_each = {*OPTIONS} - {"obstacles"}  # keys that are not ours are ignored, or meant

@@ -1,19 +1,21 @@
 """Runner of step stages over the blocks of a batch, in several threads."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import groupby
 from operator import call
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compilation import entry_point
 from ..outcome import SCORES, StepOutput
 from . import threads
-from .memory import RUNNING
 from .memory_layout import scratch
 from .preparation import clocks, constants, events, robot, sensor, traffic
+from .stages.conclude import add_step
 from .state import State
 from .step import StepStages
 from .thread_tuner import ThreadTuner
@@ -27,8 +29,11 @@ _WORK_AHEAD = 12288
 _OBSTACLES, _ERRING, _CONTROLLED = 4, 2, 3
 """Relative cost of obstacle rows, of imperfect sensors, and of steps with a controller."""
 
+_FEW = 6
+"""Calls for one block take as long as for several: a group is observed as a whole if at least one
+of so many of its blocks has to be."""
+
 _Observations = NDArray[np.float32]  # annotations within ``step_n`` are looked up in every step
-_Steps = Iterator[Callable[[], Any]]
 ObservationCallback = Callable[[Slice, _Observations], Calls]
 """Maps a slice of the batch and observations (B, n, rows, d) to calls that read them."""
 
@@ -37,7 +42,8 @@ class BatchController(Protocol):
     """Controller that maps observations to actions by slices of the batch, as safety filters do."""
 
     uses_feedback: bool
-    """True if ``update_calls`` follow every step."""
+    """True if ``update_calls`` follow every step. An attribute ``reuses_calls``, if True, promises
+    that calls can be made again in further steps, with the same arrays."""
 
     @property
     def action_diagnostics(self) -> Sequence[NDArray[Any]]:
@@ -86,6 +92,50 @@ class DiagnosticsSnapshot:
     put_back = restore  # its name in version 0.2
 
 
+class _ControlledSteps(NamedTuple):
+    """Consecutive steps of a batch under a controller."""
+
+    controller: BatchController
+    state: State
+    actions: NDArray[np.float32]
+    output: StepOutput
+    resting: NDArray[np.bool_]  # (B,), environments that do not take part
+
+    def calls(self, mine: Slice, observations: NDArray[np.float32], stages: Calls) -> Calls:
+        """Calls of a step of some environments, from its ``stages``."""
+        controller, output = self.controller, self.output
+        calls = [*controller.apply_calls(mine, observations, self.actions), *stages]
+        if controller.uses_feedback:
+            outcome = output.contact, self.state.merged_into, self.resting
+            calls += controller.update_calls(mine, *outcome)
+        return calls
+
+    def run(
+        self,
+        mine: Slice,
+        observations: NDArray[np.float32],
+        stages: Calls,
+        count: int,
+        add: Callable[[int, int, bool], Any],
+    ) -> None:
+        """Make several steps of some environments, and ``add`` up rewards and contacts."""
+        reuses, rows = getattr(self.controller, "reuses_calls", False), slice(*mine[:2])
+        diagnostics = [one[rows] for one in self.controller.action_diagnostics]
+        follows = self.state.scenario.on_merge == "follow"
+        for number in range(count):
+            if number and diagnostics:
+                part = ~self.resting[rows, None] & (follows | self.output.active[rows])
+                snapshot = DiagnosticsSnapshot(diagnostics, part)
+            if number < 2 or not reuses:  # the first step has other observations
+                calls = self.calls(mine, observations, stages)
+            for one in calls:
+                one()
+            if number and diagnostics:
+                snapshot.restore()
+            add(*mine[:2], number == count - 1)
+            observations = self.output.observations
+
+
 # names of version 0.2
 Pilot, Driven, Show, Kept = BatchController, RolloutResult, ObservationCallback, DiagnosticsSnapshot
 
@@ -121,6 +171,7 @@ class BatchRunner:
         self._near = False
         """True if something could meet in the last step."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
+        self._add_step: Callable[..., Any] | None = None  # compiled on first use
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self.limit(max_steps)
 
@@ -190,52 +241,38 @@ class BatchRunner:
         Resting environments, (B,), skip the first step; the array is overwritten.
         """
         state, output, actions = self._state, self.new_output(), self._actions
-        rewards, robot_rewards, touched = output.rewards, output.robot_rewards, output.contact
+        lanes, totals = state.lanes, (output.rewards, output.robot_rewards, output.contact)
         if count > 1:
-            rewards, robot_rewards = np.zeros_like(rewards), np.zeros_like(robot_rewards)
-            touched = np.zeros_like(touched)
-        lanes, follows = state.lanes, state.scenario.on_merge == "follow"
+            totals = np.zeros_like(totals[0]), np.zeros_like(totals[1]), np.zeros_like(totals[2])
         if (tuner := self._tuners.get(count)) is None:
             tuner = self._tuners[count] = self._tuner_of(_CONTROLLED * count)
         while len(self._scratch) < tuner.max_threads:
             self._scratch.append(scratch(state.place))
         step_calls = self._step_calls(actions, output)
-
-        def step(part: Slice, mine: Slice, now: _Observations) -> _Steps:
-            yield from controller.apply_calls(mine, now, actions)
-            yield from step_calls(part)
-            if controller.uses_feedback:
-                merged_into = state.merged_into
-                yield from controller.update_calls(mine, output.contact, merged_into, resting)
-
-        def lead(part: Slice, mine: Slice) -> None:
-            rows, now = slice(*mine[:2]), observations
-            diagnostics = [one[rows] for one in controller.action_diagnostics]
-            for number in range(count):
-                if number:
-                    np.not_equal(output.status[rows], RUNNING, out=resting[rows])
-                    output.contact[rows] = False
-                    active = ~resting[rows, None] & (follows | output.active[rows])
-                    snapshot = DiagnosticsSnapshot(diagnostics, active)
-                for one in step(part, mine, now):
-                    one()
-                if number:
-                    snapshot.restore()
-                rewards[rows] += output.rewards[rows]
-                robot_rewards[rows] += output.robot_rewards[rows]
-                touched[rows] |= output.contact[rows]
-                now = output.observations
+        steps = _ControlledSteps(controller, state, actions, output, resting)
+        add = self._adding(output, resting, totals) if count > 1 else None
 
         def calls_of(part: Slice) -> Calls:
             mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
-            steps = step(part, mine, observations) if count == 1 else [partial(lead, part, mine)]
+            given = mine, observations, step_calls(part)
+            calls = steps.calls(*given) if add is None else [partial(steps.run, *given, count, add)]
             seen = callback(mine, output.observations) if callback is not None else ()
-            return [*steps, *seen]
+            return [*calls, *seen]
 
         threads.share(calls_of, state.place.blocks, tuner.begin(), tuner.head_start)
         tuner.end()
         self._last = output
-        return RolloutResult(output, rewards, robot_rewards, touched)
+        return RolloutResult(output, *totals)
+
+    def _adding(
+        self, output: StepOutput, resting: NDArray[np.bool_], totals: tuple[NDArray[Any], ...]
+    ) -> Callable[[int, int, bool], Any]:
+        """Call of ``add_step`` for the environments from one to before another."""
+        step = output.rewards, output.robot_rewards, output.contact
+        given = output.status, resting, step, totals
+        if self._add_step is None:
+            self._add_step = entry_point(add_step, (*given, 0, 0, False))
+        return partial(self._add_step, *given)
 
     def compile(self) -> None:
         """Compile all stages, as ``Simulator.compile``."""
@@ -243,29 +280,38 @@ class BatchRunner:
 
     def observe(self) -> StepOutput:
         """Observe all environments in their current state."""
-        output = self.new_output()
-        self._observe(range(self._state.place.blocks), output)
+        output, place = self.new_output(), self._state.place
+        starts = range(0, place.blocks, place.group)
+        self._observe([(k, min(k + place.group, place.blocks)) for k in starts], output)
         return output
 
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> NDArray[np.int64]:
         """Recompute the observations of some environments.
 
-        Those of all environments in their blocks are rewritten unchanged. Returns all these
-        environments.
+        Those of all environments in their blocks are rewritten unchanged, or in their groups of
+        blocks if these have many. Returns all these environments.
         """
-        lanes, (batch,) = self._state.lanes, self._shapes[3]
-        blocks = np.unique(which // lanes)
-        self._observe(blocks.tolist(), output)
-        rewritten = (blocks[:, np.newaxis] * lanes + np.arange(lanes)).reshape(-1)
-        return rewritten[rewritten < batch]
+        place, (batch,) = self._state.place, self._shapes[3]
+        parts: list[tuple[int, int]] = []
+        for first, blocks in groupby(np.unique(which // place.lanes).tolist(), self._group_of):
+            found, stop = list(blocks), min(first + place.group, place.blocks)
+            many = _FEW * len(found) >= stop - first
+            parts += [(first, stop)] if many else [(block, block + 1) for block in found]
+        self._observe(parts, output)
+        ends = [(first * place.lanes, min(stop * place.lanes, batch)) for first, stop in parts]
+        return np.concatenate([which[:0], *(np.arange(*each) for each in ends)])
 
-    def _observe(self, blocks: Iterable[int], output: StepOutput) -> None:
+    def _group_of(self, block: int) -> int:
+        """First block of the group that stages process together."""
+        return block - block % self._state.place.group
+
+    def _observe(self, parts: Iterable[tuple[int, int]], output: StepOutput) -> None:
         if self._may_overflow:
             output.neighbour_overflow.fill(-1)
         calls = [
             one
-            for block in blocks
-            for one in self._stages.calls(block, block + 1, None, output, self.scratch, False)
+            for part in parts
+            for one in self._stages.calls(*part, None, output, self.scratch, False)
         ]
         deque(map(call, [*calls, self._state.settle]), 0)
 

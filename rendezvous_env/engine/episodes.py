@@ -65,8 +65,8 @@ class Episodes:
             failed = self._run(reset.draw_graphs, lanes, which, *given)
             if failed >= 0:
                 raise RuntimeError(
-                    f"the graph drawn for team {failed} has more links than expected; choose "
-                    "another seed"
+                    f"the graph drawn for environment {failed} has more links than expected; "
+                    "choose another seed"
                 )
         pending, trial = which, 0
         while len(pending) and trial < reset.MAX_TRIALS:
@@ -168,20 +168,20 @@ class Episodes:
         scenario = self._state.scenario
         if scenario.start_reach < math.inf:
             return (
-                f"no start found for team {team}: {scenario.n_robots} robots in a spawn_size of "
-                f"{scenario.spawn_size} m, connected by links of at most range − (n − 1) "
-                f"merge_radius/2 = {scenario.start_reach:.6g} m, 2 merge_radius apart and clear of "
-                "obstacles; make spawn_size smaller or sensing.range larger, thin out the "
+                f"no initial positions found for environment {team}: {scenario.n_robots} robots in "
+                f"a spawn_size of {scenario.spawn_size} m, connected by links of at most range − "
+                f"(n − 1) merge_radius/2 = {scenario.start_reach:.6g} m, 2 merge_radius apart and "
+                "clear of obstacles; make spawn_size smaller or sensing.range larger, thin out the "
                 "obstacles, or pass require_connected=False"
             )
         if scenario.start_region is not None:
             return (
-                f"no room for the start of team {team}: {scenario.n_robots} robots, neighbours at "
-                f"least 2 merge_radius = {2 * scenario.merge_radius} m apart and clear of "
-                "obstacles, in the start_region; enlarge it"
+                f"no room for initial positions in environment {team}: {scenario.n_robots} robots, "
+                f"neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m apart and "
+                "clear of obstacles, in the start_region; enlarge it"
             )
         return (
-            f"no room for the start of team {team}: {scenario.n_robots} robots, "
+            f"no room for initial positions in environment {team}: {scenario.n_robots} robots, "
             f"neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m apart "
             f"and clear of obstacles, in a spawn_size of {scenario.spawn_size} m; "
             "enlarge it or thin out the obstacles"
@@ -207,7 +207,7 @@ class Episodes:
         for weights in () if given.weights is None else given.weights:
             if (found := np.count_nonzero(np.triu(weights))) > room:
                 raise ValueError(
-                    f"weights have {found} links; teams of this scenario's graph have room for "
+                    f"weights have {found} links; environments of this scenario have room for "
                     f"{room}; give the scenario a graph with as many"
                 )
 

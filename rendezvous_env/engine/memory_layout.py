@@ -185,9 +185,10 @@ def check_memory(scenario: Scenario, num_envs: int) -> None:
     needed = needed_bytes(scenario, num_envs)
     if needed > _UNSEEN and needed > (available := available_bytes()):
         raise ValueError(
-            f"num_envs is {num_envs}: {num_envs} teams of {scenario.n_robots} robots with "
+            f"num_envs is {num_envs}: {num_envs} environments of {scenario.n_robots} robots with "
             f"{scenario.observation_layout.rows} rows each need {needed / 2**30:.3g} GiB of "
-            f"memory, {available / 2**30:.3g} GiB are free; take fewer teams, robots or slots"
+            f"memory, {available / 2**30:.3g} GiB are free; take fewer environments, robots or "
+            "slots"
         )
 
 

@@ -254,7 +254,7 @@ def _check_merges(state: Mapping[str, NDArray[Any]], packs: bool) -> None:
     survives = np.take_along_axis(into, into, axis=1) == into
     refuse_first("merged_into", ~survives, into, "a robot that has itself not merged")
     one_left = (into != np.arange(n)).sum(axis=1) == n - 1
-    what = f"{RENDEZVOUS} exactly in teams in which one robot is left"
+    what = f"{RENDEZVOUS} exactly in environments in which one robot is left"
     refuse_first("status", (status == RENDEZVOUS) != one_left, status, what)
 
 
@@ -279,8 +279,8 @@ def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> 
     if (counts > slots).any():
         where = tuple(int(k) for k in np.argwhere(counts > slots)[0])
         raise ValueError(
-            f"state: weights give robot_{where[1]} of team {where[0]} {counts[where]} neighbours; "
-            f"there are rows for neighbour_slots = {slots}"
+            f"state: weights give robot_{where[1]} of environment {where[0]} {counts[where]} "
+            f"neighbours; there are rows for neighbour_slots = {slots}"
         )
 
 
@@ -297,8 +297,9 @@ def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -
     for name, array, (shape, kind) in zip(StepOutput._fields, arrays, wanted, strict=True):
         if array.shape != shape or array.dtype != kind or not array.flags.carray:
             raise ValueError(
-                f"outcome: {name} is {array.dtype} of shape {array.shape}; a step of these teams "
-                f"gives out {kind} of shape {shape}, in one piece that can be written to"
+                f"outcome: {name} is {array.dtype} of shape {array.shape}; a step of these "
+                f"environments gives out {kind} of shape {shape}, in one piece that can be written "
+                "to"
             )
 
 
@@ -331,7 +332,7 @@ def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDAr
     if wrong >= 0:
         team, robot, *_ = np.unravel_index(wrong, shape)
         raise ValueError(
-            f"action of robot_{robot} in team {team} is "
+            f"action of robot_{robot} in environment {team} is "
             f"{short_repr(np.asarray(actions)[team, robot].tolist())}; it must be finite, in "
             "float32"
         )
@@ -340,4 +341,4 @@ def check_actions(actions: ArrayLike, shape: tuple[int, ...], axes: str) -> NDAr
 
 def check_mask(mask: ArrayLike, num_envs: int) -> NDArray[np.bool_]:
     """Mask (B,) of bools; ValueError otherwise."""
-    return bools("mask", mask, (num_envs,), "teams")
+    return bools("mask", mask, (num_envs,), "environments")

@@ -2,7 +2,7 @@
 
 From the action to the new observation, over the blocks of one thread after another:
 
-    take_commands               commands in execution, where robots have their own clocks
+    take_commands               commands in execution, with asynchronous activation
     disturb_commands            crashes, adversaries, slip and disturbances
     propose_motion              displacement of every robot without contacts
     move_obstacles              obstacles that move, and contacts with all

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from ..checks import check_int, choice, known_fields, raise_invalid
+from ..checks import check_int, choice, counted, known_fields, raise_invalid
 from ..engine.state_checks import check_entries, check_finite, check_keys
 from ..limits import MAX_HELD_STEPS
 from ..safety.gains import Gains
@@ -66,7 +66,11 @@ def make_filter(
     if isinstance(safety_filter, SafetyFilter):
         known_fields(settings, own, "a safety_filter that is made", "setting")
         if (safety_filter.scenario, len(safety_filter.held)) != (scenario, num_envs):
-            raise_invalid("safety_filter", safety_filter, f"of this scenario and {num_envs} teams")
+            raise_invalid(
+                "safety_filter",
+                safety_filter,
+                f"of this scenario and {counted(num_envs, 'environment')}",
+            )
         return safety_filter
     kind: Any = safety_filter
     if not isinstance(kind, type):
@@ -208,7 +212,8 @@ class FilterWrapperMixin:
         if holder is not None and holder.filter is made:
             raise ValueError(
                 f"safety_filter: this {type(made).__name__} is held by another "
-                f"{type(holder).__name__}, whose teams it remembers; make one for each wrapper"
+                f"{type(holder).__name__}, whose environments it remembers; make one for each "
+                "wrapper"
             )
         _holders[id(made)] = self
 
@@ -240,8 +245,8 @@ class FilterWrapperMixin:
         told = self.env.step(actions)
         if self._base.simulator.changes != before + 1:
             raise RuntimeError(
-                f"a wrapper beneath {type(self).__name__} has stepped or reset the teams itself, "
-                "or kept a step from them; put it around the guarantee, and reset()"
+                f"a wrapper beneath {type(self).__name__} has stepped or reset the environments "
+                "itself, or kept a step from them; put it around the guarantee, and reset()"
             )
         self._check_infos(told[-1])
         return told

@@ -144,7 +144,6 @@ def training_env(
         chosen, num_envs, autoreset_mode, num_threads, max_cycles, render_mode, flatten
     )
     if guarantee is not None:
-        _say_what_is_not_covered(chosen, guarantee, arguments)
         if preset is not None and shown:
             teams = preset.wrap(teams, guarantee, discrete, arguments)
         elif guarantee in WRAPPERS:
@@ -153,9 +152,11 @@ def training_env(
             teams = GuaranteeWrapper(teams, guarantee, **arguments)
     if contact_penalty is not None:
         price = number("contact_penalty", contact_penalty)
+    _say_what_is_not_covered(chosen, guarantee, arguments)  # after all errors
     if (chosen.reward, price) not in _logged:
         _logged.add((chosen.reward, price))
-        _LOGGER.info("training_env: in force are %s and contact_penalty %g", chosen.reward, price)
+        reward = chosen.reward.to_plain()
+        _LOGGER.info("training_env: reward in use: %s, contact_penalty %g", reward, price)
     return TrainingTeams(teams, price)
 
 
@@ -173,17 +174,18 @@ def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardW
 
 
 def _say_what_is_not_covered(
-    scenario: Scenario, guarantee: str, arguments: Mapping[str, Any]
+    scenario: Scenario, guarantee: str | None, arguments: Mapping[str, Any]
 ) -> None:
     """Log, once per scenario, the part of a guarantee that does not apply, with the reason."""
-    if guarantee not in WRAPPERS:
+    if guarantee is None or guarantee not in WRAPPERS:
         return
     settings = inspect.signature(FILTERS[guarantee]).parameters
     own, told = bounded_error(scenario.sensing, scenario.dim), arguments.get("bearing_error", 0.0)
     untold = "bearing_error" in settings and to_float(told) < own
-    if (scenario, guarantee, untold) in _said:
+    plain = scenario.replace(reward=RewardWeights(), allow_long_step=True)
+    if (plain, guarantee, untold) in _said:
         return
-    _said.add((scenario, guarantee, untold))
+    _said.add((plain, guarantee, untold))
     known = inspect.signature(certificate).parameters
     asked = {key: value for key, value in arguments.items() if key in known}
     if "min_alignment" in settings:
@@ -290,5 +292,7 @@ def charge_first_contacts(
     if not first.any():
         return rewards
     touched |= first
+    if price == 0.0:
+        return rewards
     infos["robot_rewards"] -= price * first
     return rewards - price * first.mean(axis=1)

@@ -136,7 +136,7 @@ class RendezvousVectorEnv(
         simulator, start = self.simulator, as_options(options)
         mask = start.pop("reset_mask", None)
         if mask is not None:
-            mask = bools("reset_mask", mask, (self.num_envs,), "teams")
+            mask = bools("reset_mask", mask, (self.num_envs,), "environments")
         observations = simulator.reset(seed, start, mask=mask)
         if seed is not None:
             self._np_random, self._np_random_seed = np_random(int(simulator.seeds[0]))
@@ -283,7 +283,7 @@ def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
     teams = arguments.get("num_envs", 1)
     if not (is_int(teams) and teams == 1):
         raise ValueError(
-            f"num_envs is {short_repr(teams)}; it must be one team, and {_DISABLED}: for more take "
+            f"num_envs is {short_repr(teams)}; it must be 1, with {_DISABLED}: for more take "
             f"{vector_form}"
         )
 
@@ -305,7 +305,7 @@ class SingleEnvMixin:
         mode = teams.metadata.get("autoreset_mode")
         if teams.num_envs != 1 or mode is not _DISABLED:
             raise ValueError(
-                f"teams are {teams.num_envs} with autoreset_mode {mode}; it must be one team, and "
+                f"num_envs is {teams.num_envs} and autoreset_mode {mode}; they must be 1 and "
                 f"{_DISABLED}"
             )
         self.teams, base = teams, teams.unwrapped

@@ -38,8 +38,8 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
 
     A team that ends within a decision period stands still for the rest of it; a reset clears its
     memory. ``env`` is a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or
-    one in wrappers that change neither observations nor actions nor the form of infos, step once a
-    step and do not reset; that is checked, as in ``rendezvous_env.GuaranteeWrapper``.
+    one in wrappers. These must not change observations, actions or the form of infos, must step
+    once a step, and must not reset; this is checked, as in ``rendezvous_env.GuaranteeWrapper``.
 
     Wrappers beneath, such as recorders of episodes, see each base step. Their infos of a decision
     are joined by the masks ``_key``: those of each environment are the last that its mask reported.

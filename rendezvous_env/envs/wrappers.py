@@ -164,12 +164,12 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
 
         ṗ_i = h_i h_iᵀ f_i                                              (Zhao & Zheng, eq. 4)
 
-    ``certified_heading`` (theorem C) maps the raw vector of any policy to h_i. On a fixed,
-    connected, undirected graph, with bearing errors of at most ``bearing_error`` and without
-    obstacles, rendezvous occurs within the certificate's time bound for any policy. Other graphs
-    and sensors are accepted without this guarantee; see ``certificate``. Velocities are scaled by
-    r/(2 D_i τ) if the step is longer than certified (theory 4). Nonholonomic robots choose turn
-    rates, limited by the gate of theory 3, and drive with v = mᵀf.
+    ``certified_heading`` (theorem C) maps the raw vector of any policy to h_i. The guarantee is for
+    fixed, connected, undirected graphs, bearing errors of at most ``bearing_error``, and no
+    obstacles: any policy meets within the certificate's time bound. Other graphs and sensors are
+    accepted without this guarantee; see ``certificate``. Velocities are scaled by r/(2 D_i τ) if
+    the step is longer than certified (theory 4). Nonholonomic robots choose turn rates, limited by
+    the gate of theory 3, and drive with v = mᵀf.
 
     * Actions: ``Box(−1, 1, (d,))``, a raw vector in the observed frame; only its direction is
       used. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of

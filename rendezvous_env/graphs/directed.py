@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..checks import known_arguments
 from .fixed import Weight, as_range
 from .graph import Graph, LinkArrays, from_matrix_of
 from .reading import is_networkx, is_sparse
@@ -29,6 +30,7 @@ class DirectedGraph(Graph, kinds=("directed", "directed_cycle")):
         return robots, (robots + 1) % n, np.ones(n)
 
 
+@known_arguments
 def directed(arcs: Any, n_robots: int | None = None) -> Graph:
     """Robot i sees robot j where there is a directed edge (i, j); j need not see i.
 
@@ -50,6 +52,7 @@ def directed(arcs: Any, n_robots: int | None = None) -> Graph:
     return Graph("directed", edges=arcs, n_nodes=n_robots)
 
 
+@known_arguments
 def directed_cycle(weight: Weight = 1.0) -> Graph:
     """Directed cycle: robot i observes i + 1, the last one robot 0 (cyclic pursuit)."""
     return Graph("directed_cycle", as_range(weight))

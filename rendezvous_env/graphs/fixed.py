@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import number_range
+from ..checks import known_arguments, number_range
 from .graph import Graph, GraphNumbers, LinkArrays, from_matrix_of, from_networkx
 from .reading import is_networkx
 
@@ -58,26 +58,31 @@ class ListedGraph(Graph, kinds=("edges",)):
     listed: ClassVar[str] = "edges"
 
 
+@known_arguments
 def complete(weight: Weight = 1.0) -> Graph:
     """Complete graph; ``weight`` in m/s, or a range to sample from."""
     return Graph("complete", as_range(weight))
 
 
+@known_arguments
 def path(weight: Weight = 1.0) -> Graph:
     """Path graph: robot i observes i − 1 and i + 1."""
     return Graph("path", as_range(weight))
 
 
+@known_arguments
 def cycle(weight: Weight = 1.0) -> Graph:
     """Cycle graph."""
     return Graph("cycle", as_range(weight))
 
 
+@known_arguments
 def star(weight: Weight = 1.0) -> Graph:
     """Star graph centred at robot 0."""
     return Graph("star", as_range(weight))
 
 
+@known_arguments
 def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) -> Graph:
     """Graph from edges (i, j) or (i, j, weight) with indices from 0; default weight 1 m/s.
 
@@ -91,6 +96,7 @@ def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) ->
     return Graph("edges", edges=edges, n_nodes=n_robots)
 
 
+@known_arguments
 def from_matrix(weights: Any) -> Graph:
     """Graph from a symmetric (n, n) matrix of weights a_ij, m/s; 0 = no edge.
 

@@ -79,6 +79,12 @@ def step_degree(n: int, worst: float, usual: float) -> float:
     return worst if n < _LARGE_TEAM else min(worst, usual)
 
 
+_BY_WEIGHT = ("complete", "path", "cycle", "star", "random_tree", "directed_cycle", "proximity")
+"""Kinds that a function of this package of the same name creates from weights alone."""
+_BY_EDGES = {"edges": "from_edges", "directed": "directed"}
+"""Functions that create the kinds with listed edges."""
+
+
 @dataclass(frozen=True)
 class Graph:
     """Weighted sensing graph for any number of robots, or a family of random graphs.
@@ -114,8 +120,10 @@ class Graph:
     """Keys of plain data."""
 
     def __init_subclass__(cls, kinds: Sequence[str] = ()) -> None:
-        """Register a subclass for its kinds."""
+        """Register a subclass for its kinds; all have one ``repr``."""
         KINDS.update(dict.fromkeys(kinds, cls))
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = Graph.__repr__  # type: ignore[method-assign]
 
     def __new__(cls, kind: Any = None, *_: Any, **__: Any) -> Self:
         """Create an instance of the class of the given kind."""
@@ -137,6 +145,18 @@ class Graph:
         if self.probability != Graph.probability and self.kind != "erdos_renyi":
             kinds = f"only kind 'erdos_renyi' has one, not {self.kind!r}"
             raise ValueError(f"graph: probability is {self.probability}; {kinds}")
+
+    def __repr__(self) -> str:
+        """Call of ``rendezvous_env.graphs`` that creates an equal graph."""
+        low, high = self.weight_range
+        weights = [] if low == high == 1.0 else [repr(low if low == high else (low, high))]
+        if self.kind in _BY_WEIGHT:
+            return f"graphs.{self.kind}({', '.join(weights)})"
+        if self.kind == "erdos_renyi":
+            return f"graphs.erdos_renyi({', '.join([repr(self.probability), *weights])})"
+        if self.kind in _BY_EDGES and not weights:
+            return f"graphs.{_BY_EDGES[self.kind]}({self.edges!r}, n_robots={self.n_nodes})"
+        return f"graphs.parse({self.to_plain()!r})"
 
     def check_fits(self, scenario: Any) -> None:
         """Raise a ValueError if the graph does not fit the other fields of a scenario."""
@@ -243,11 +263,11 @@ def class_of(kind: Any) -> type[Graph]:
 
 
 def parse(value: Any, n: int | None = None) -> Graph:
-    """A Graph of n robots, if that is known, from a Graph, a name, the plain data of
-    ``Graph.to_plain``, a matrix of weights, an edge list, or a networkx graph.
+    """Graph from a name, plain data, a matrix of weights, an edge list, or a networkx graph.
 
-    A table of n rows is a matrix where it can be one; others with rows of two or three entries are
-    edges. A networkx graph that is directed gives a directed graph.
+    Plain data are those of ``Graph.to_plain``; a Graph is returned unchanged. A table of n rows is
+    a matrix where it can be one; others with rows of two or three entries are edges. A directed
+    networkx graph gives a directed graph.
     """
     if isinstance(value, Graph):
         return value

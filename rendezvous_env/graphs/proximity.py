@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from ..checks import known_arguments
 from .fixed import CompleteGraph, Weight, as_range
 from .graph import Graph
 
@@ -46,6 +47,7 @@ class ProximityGraph(CompleteGraph, kinds=("proximity",)):
         return float(sight - (scenario.n_robots - 1) * scenario.merge_radius / 2.0)
 
 
+@known_arguments
 def proximity(weight: Weight = 1.0) -> Graph:
     """Graph in which robot i observes robot j within range and field of view of the sensor.
 

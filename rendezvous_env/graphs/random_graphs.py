@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Registry
+from ..checks import Registry, known_arguments
 from ..compilation import inner_kernel, kernel
 from ..physics.random_streams import GRAPH, uniform
 from .edges import pair_index, sort_links
@@ -56,11 +56,13 @@ class ErdosRenyi(DrawnGraph, kinds=("erdos_renyi",)):
         return found._replace(most_links=most_links, step_degree=step)
 
 
+@known_arguments
 def random_tree(weight: Weight = 1.0) -> Graph:
     """Uniformly random labelled tree, sampled per episode."""
     return Graph("random_tree", as_range(weight))
 
 
+@known_arguments
 def erdos_renyi(probability: float, weight: Weight = 1.0) -> Graph:
     """Connected Erdős–Rényi graph, sampled per episode.
 

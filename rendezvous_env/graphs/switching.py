@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from ..checks import Seconds, format_limit, raise_invalid, short_repr
+from ..checks import Seconds, format_limit, known_arguments, raise_invalid, short_repr
 from .graph import Graph, GraphNumbers, LinkArrays, parse, step_degree
 
 
@@ -49,6 +49,11 @@ class SwitchingGraph(Graph, kinds=("switching",)):
     """Dwell time, s. Switches are due at its multiples and happen at the next start of a step."""
     order: Literal["cyclic", "random"] = "cyclic"
     """Order: cyclic, or random at every switch."""
+
+    def __repr__(self) -> str:
+        """As ``Graph``."""
+        order = "" if self.order == "cyclic" else f", order={self.order!r}"
+        return f"graphs.switching({list(self.graphs)}, dwell={self.dwell}{order})"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -103,6 +108,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         return {"kind": self.kind, "graphs": listed, "dwell": self.dwell, "order": self.order}
 
 
+@known_arguments
 def switching(
     graphs: Iterable[Any], dwell: float = 1.0, order: Literal["cyclic", "random"] = "cyclic"
 ) -> Graph:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, raise_invalid
+from ..checks import is_sequence, names_unknown_fields, raise_invalid
 from ..compilation import kernel
 from ..physics.crossings import capsule_crossing
 from ..physics.vectors import combine, dot, norm, perpendicular, split, store, subtract, without
@@ -28,6 +28,7 @@ _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)
 _MOST_BEADS = 99  # maximum number of balls drawn for a capsule; a very thin one is dotted
 
 
+@names_unknown_fields("Capsule")
 @dataclass(frozen=True)
 class Capsule(shape.Shape):
     """All points within a radius of a segment, in 2-D or 3-D, such as a wall with round ends."""

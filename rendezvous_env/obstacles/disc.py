@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
+from ..checks import names_unknown_fields
 from ..compilation import kernel
 from ..physics.crossings import first_crossing
 from ..physics.vectors import X_AXIS, combine, norm, store, subtract
@@ -30,6 +31,7 @@ class _Round(shape.Shape):
         return [BALL, 0, self.radius, *self.centre, 0.0][: shape.DETAILS]
 
 
+@names_unknown_fields("Disc")
 @dataclass(frozen=True)
 class Disc(_Round):
     """Round obstacle in 2-D."""
@@ -39,6 +41,7 @@ class Disc(_Round):
     dim = 2
 
 
+@names_unknown_fields("Sphere")
 @dataclass(frozen=True)
 class Sphere(_Round):
     """Round obstacle in 3-D."""

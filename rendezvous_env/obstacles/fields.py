@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from ..checks import format_limit, is_int, is_sequence, raise_invalid
+from ..checks import format_limit, is_int, is_sequence, names_unknown_fields, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..limits import MAX_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
@@ -29,6 +30,7 @@ def _check_count(field: str, value: Any) -> int | tuple[int, int]:
 
 
 @lists_fields
+@names_unknown_fields("ObstacleField")
 @dataclass(frozen=True)
 class ObstacleField(Drawn):
     """Discs (2-D) or spheres (3-D), sampled in every episode.
@@ -54,6 +56,8 @@ class ObstacleField(Drawn):
 
     numbers = 0
     only_balls = True
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         super().__post_init__()

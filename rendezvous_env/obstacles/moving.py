@@ -11,8 +11,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import flag, is_sequence, number, positive, raise_invalid
+from ..checks import flag, is_sequence, names_unknown_fields, number, positive, raise_invalid
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from . import shape
 from .capsule import Capsule
 from .disc import Disc, Sphere
@@ -65,6 +66,7 @@ def _check_box(field: str, value: Any) -> tuple[tuple[float, ...], tuple[float, 
 
 
 @lists_fields
+@names_unknown_fields("Moving")
 @dataclass(frozen=True)
 class Moving(shape.Shape):
     """Obstacle that moves: with a constant velocity, along waypoints, or as a random walk.
@@ -99,13 +101,15 @@ class Moving(shape.Shape):
     interval: Annotated[float, partial(positive, unit="s")] = 2.0
     """Time between two directions of a random walk, s."""
 
+    __repr__ = repr_of_changes
+
     def __post_init__(self) -> None:
         super().__post_init__()
         given = [name for name in ("velocity", "waypoints", "speed") if self._given(name)]
         name = "obstacles: Moving"
         if len(given) != 1:
-            found = " and ".join(given) or "none of them"
-            raise ValueError(f"{name} has {found}; it must have one of {_MODES}")
+            found = " and ".join(given) or "no motion"
+            raise ValueError(f"{name} has {found}; give exactly one of {_MODES}")
         if self.velocity is not None and len(self.velocity) != self.dim:
             raise_invalid(f"{name}.velocity", self.velocity, f"{self.dim} numbers, m/s")
         if self.waypoints is not None:

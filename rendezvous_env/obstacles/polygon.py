@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, raise_invalid, short_repr
+from ..checks import is_sequence, names_unknown_fields, raise_invalid, short_repr
 from ..compilation import inner_kernel, kernel
 from ..limits import MAX_VERTICES
 from ..physics.crossings import capsule_crossing
@@ -27,6 +27,7 @@ _ROUNDING = 1e-12
 _VERTEX_TOLERANCE = 1e-9  # m; points on a vertex are no deeper behind either edge
 
 
+@names_unknown_fields("Polygon")
 @dataclass(frozen=True)
 class Polygon(shape.Shape):
     """Convex obstacle in 2-D; compose nonconvex ones of several that overlap."""

@@ -12,9 +12,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from ..checks import format_limit, raise_invalid
+from ..checks import format_limit, names_unknown_fields, raise_invalid
 from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .obstacle_set import clear, clear_of_obstacles
@@ -33,6 +34,7 @@ _NUMBERS = 15  # random numbers per trial: 3 for the pose, at most 3 for each of
 
 
 @lists_fields
+@names_unknown_fields("WallField")
 @dataclass(frozen=True)
 class WallField(Drawn):
     """Walls of a layout, with position and angle sampled in every episode.
@@ -58,6 +60,8 @@ class WallField(Drawn):
 
     numbers = BOX
     only_balls = False
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         super().__post_init__()

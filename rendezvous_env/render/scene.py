@@ -6,6 +6,7 @@ Obstacle shapes, paths, marks and extents, in metres; colours are in ``palette``
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import counted
 from ..obstacles.obstacle_set import outlines
 
 Floats = NDArray[np.float64]
@@ -72,4 +73,4 @@ def sights(rows: Floats, positions: Floats, linked: Bools, in_order: bool) -> Bo
 
 def in_contact(count: int) -> str:
     """Contacts as text, counted once per robot and step."""
-    return f"{count} robot-step{'' if count == 1 else 's'} in contact"
+    return f"{counted(count, 'robot-step')} in contact"

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from ..checks import check_fields, names_unknown_fields
 from ..compilation import kernel
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from .custom_terms import as_custom
 
 CLEARANCE_PENALTY = 4  # place of a weight whose term is only worked out where it is not zero
@@ -41,6 +42,8 @@ class RewardWeights:
         default=(), kw_only=True
     )
     """Weights of custom terms by their name in ``reward_term``."""
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         check_fields(self, "reward.{}")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from .. import checks
 from ..compilation import inner_kernel
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..limits import MAX_STEPS
 from ..physics.random_streams import uniform
 
@@ -78,6 +79,8 @@ class Activation:
     max_wait: Annotated[int, partial(checks.check_int, least=1, most=MAX_STEPS)] | None = None
     """Number of steps k of bounded activation; by default 2. Every k consecutive steps of an
     episode hold an activation of each robot."""
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         checks.check_fields(self, "activation.{}")

@@ -2,9 +2,9 @@
 
     p̈ = a,    ‖a‖ ≤ a_max,    ‖ṗ‖ ≤ v_max
 
-An acceleration that would exceed the speed limit at the end of the step is replaced by the constant
-one that reaches the limit in the same direction. The motion is exact for a held input, and the
-speed stays within the limit, since ‖ṗ‖ is convex along the step.
+An acceleration that would exceed the speed limit in the step is replaced. The replacement is
+constant and reaches the limit at the end of the step, in the same direction. The motion is exact
+for a held input, and the speed stays within the limit, since ‖ṗ‖ is convex along the step.
 
 A contact removes the normal component of the velocity without friction, or all of it with contact
 mode "stop".

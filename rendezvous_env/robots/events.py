@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .. import checks
 from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..limits import LARGEST, MAX_ROBOTS
 from ..physics.random_streams import EVENTS, stream_key, uniform
 
@@ -101,6 +102,8 @@ class Events:
     action is their velocity, as the next one."""
     disturbance_noise: _Speed = 0.0
     """Standard deviation of each component of a Gaussian velocity disturbance, m/s."""
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         checks.check_fields(self, "events.{}")

@@ -17,6 +17,7 @@ from ..checks import (
     Registry,
     check_fields,
     check_int,
+    counted,
     floats,
     format_limit,
     is_int,
@@ -238,8 +239,9 @@ def try_equations(
             continue
     if not used.all():
         raise ValueError(
-            f"bounds of robot model {model.name!r} are {len(bounds)} numbers, but its equations do "
-            f"not look at action[{int(np.argmin(used))}]; they must be as many as an action has"
+            f"bounds of robot model {model.name!r} are {counted(len(bounds), 'number')}, but its "
+            f"equations do not use action[{int(np.argmin(used))}]; give one bound for each "
+            "component of an action"
         )
 
 

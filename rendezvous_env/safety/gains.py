@@ -62,6 +62,7 @@ class Gains(SafetyFilter):
     """
 
     state_key = "gains"
+    reuses_calls = True
     chooses_vectors = False
     lowest_choice = 0.0
 

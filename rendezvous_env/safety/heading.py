@@ -294,6 +294,7 @@ class HeadingFilter(SafetyFilter):
     """
 
     state_key = "steering"
+    reuses_calls = True
 
     def __init__(
         self,

@@ -185,6 +185,7 @@ class LinkKeeping(SafetyFilter):
     """
 
     state_key = "links"
+    reuses_calls = True
 
     def __init__(
         self,

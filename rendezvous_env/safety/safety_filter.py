@@ -45,15 +45,18 @@ def over_teams(
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
 
 
-def over_robots(kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any]) -> Calls:
+def over_robots(
+    kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any], work: Any = None
+) -> Calls:
     """Call of a kernel for the robots of a slice.
 
     Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, flat views of
-    ``arrays`` (B, n, ...) of any unit, observations first, and memory for ``lanes_of`` and rows.
+    ``arrays`` (B, n, ...) of any unit, observations first, and working memory, by default for
+    ``lanes_of`` and rows.
     """
     rows, d = arrays[0].shape[2:]
     robots, flat = by_robot(part, arrays)
-    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d)
+    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d) if work is None else work
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)
@@ -150,6 +153,7 @@ class SafetyFilter(StatefulMixin):
     chooses_vectors = True  # whether a choice is a vector, which turns with the frame it is seen in
     lowest_choice = -1.0  # the least that each number of a choice can be; the most is 1
     uses_feedback = False  # whether ``update`` has to be called after every step
+    reuses_calls = False  # whether calls can be made again in further steps, with the same arrays
     state_key = "filter"  # what its memory is called in a wrapper's state
     observes_level = False  # whether ``observe`` adds one row, the level of a robot's own tank
 
@@ -181,6 +185,8 @@ class SafetyFilter(StatefulMixin):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Take the old names of what a subclass overrides for the new ones."""
         super().__init_subclass__(**kwargs)
+        if {"apply_calls", "update_calls"} & vars(cls).keys() and "reuses_calls" not in vars(cls):
+            cls.reuses_calls = False
         for old in _RENAMED.keys() & vars(cls).keys():
             warn_renamed(f"{cls.__name__}.{old}", _RENAMED[old])
             setattr(cls, _RENAMED[old], vars(cls)[old])
@@ -309,7 +315,7 @@ class SafetyFilter(StatefulMixin):
         contact = np.zeros(team, np.bool_) if contact is None else contact
         resting = np.zeros(team[0], np.bool_) if resting is None else resting
         touched = np.ascontiguousarray(bools("contact", contact, team, "robots"))
-        passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
+        passed = np.ascontiguousarray(bools("resting", resting, team[:1], "environments"))
         alone = np.tile(np.arange(team[1]), (team[0], 1))
         robots = np.asarray(alone if merged_into is None else merged_into)
         if robots.shape != team or robots.dtype.kind not in "iu":

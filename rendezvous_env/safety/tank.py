@@ -255,6 +255,7 @@ class EnergyTank(SafetyFilter):
     """
 
     state_key = "tank"
+    reuses_calls = True
     uses_feedback = True
 
     def __init__(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..checks import floats
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 
 SILHOUETTE_POINTS = {2: 2, 3: 8}
 """Rows per obstacle by dimension: both edges in the plane, eight boundary rays of its cone in
@@ -47,6 +48,8 @@ class ObservationLayout:
     """True if the last row is the direction of gravity (3-D nonholonomic robots)."""
     senses_velocity: bool = False
     """True if the last row is the robot's own velocity (double integrators)."""
+
+    __repr__ = repr_of_changes
 
     @property
     def silhouette_points(self) -> int:

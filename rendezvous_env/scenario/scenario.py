@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .. import checks, graphs
 from ..checks import Metres, Seconds, check_int, positive
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MAX_OBSTACLES, MAX_ROBOTS, MAX_STEPS
 from ..obstacles import parsing as obstacles
@@ -201,6 +202,8 @@ class Scenario:
     events: Annotated[Events, checks.of_class(Events)] = dataclasses.field(default_factory=Events)
     """Failures and disturbances of robots: crashes, sensor failures, adversaries, drift of local
     frames, slip and velocity disturbances. None by default."""
+
+    __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         checks.check_fields(self)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .. import graphs
 from ..checks import (
     check_shape,
+    counted,
     floats,
     format_limit,
     is_int,
@@ -41,23 +42,23 @@ class StartOptions(NamedTuple):
 def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | None) -> StartOptions:
     """Check the options of a reset of B teams, see ``Simulator.reset``.
 
-    An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours, or a field of
+    An unknown key is ignored, as in Gymnasium, unless it is similar to an option or to a field of
     the scenario, which no reset changes.
 
     Raises:
         ValueError: naming the option, its value and what would be right.
     """
     options = as_options(options)
-    fields = {field.name for field in dataclasses.fields(scenario)} if options else set()
+    fields = ["max_cycles", *(field.name for field in dataclasses.fields(scenario) if options)]
     for key in options:
-        near = nearest_word(key, OPTIONS, cutoff=0.8)
-        if key not in OPTIONS and near:
+        if key in OPTIONS:
+            continue
+        if near := nearest_word(key, OPTIONS, cutoff=0.8):
             raise ValueError(f"options: {short_repr(key)} is not an option; did you mean {near!r}?")
-        if key not in OPTIONS and (key == "max_cycles" or key in fields):
+        if field := nearest_word(key, fields, cutoff=0.8, parts=False):
             raise ValueError(
                 f"options: {short_repr(key)} is of the scenario, which a reset does not change; "
-                "make "
-                f"another environment with {key}=…; options are {', '.join(OPTIONS)}"
+                f"make another environment with {field}=…; options are {', '.join(OPTIONS)}"
             )
     values = ((options.get(key), read) for key, read in _READERS.items())
     given = StartOptions(
@@ -170,7 +171,7 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
         )
     counts, slots = (weights > 0).sum(axis=1), scenario.observation_layout.neighbour_slots
     if counts.max() > slots:
-        found = f"robot_{int(np.argmax(counts))} {counts.max()} neighbours"
+        found = f"robot_{int(np.argmax(counts))} {counted(counts.max(), 'neighbour')}"
         rows = f"there are rows for neighbour_slots = {slots}"
         raise ValueError(f"weights give {found}; {rows}; give the scenario more neighbour_slots")
 
@@ -264,7 +265,9 @@ def seeds_of_environments(seed: Any, num_envs: int) -> list[int | None] | None:
         first = check_seed(seed)  # the others follow on it
         return [folded(first + team) for team in range(num_envs)]
     if len(seed) != num_envs:
-        raise ValueError(f"seed has {len(seed)} entries; it must be one number, or {num_envs}")
+        raise ValueError(
+            f"seed has {counted(len(seed), 'entry')}; it must be one number, or {num_envs}"
+        )
     return [None if entry is None else folded(check_seed(entry)) for entry in seed]
 
 

@@ -8,8 +8,9 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 from .. import checks
-from ..checks import Metres
+from ..checks import Metres, known_arguments
 from ..field_docs import lists_fields
+from ..field_repr import repr_of_changes
 from ..limits import MAX_DELAY, MAX_SECTORS
 from .custom_sensors import as_custom
 
@@ -133,6 +134,8 @@ class Sensing:
     """What an outlier is: a uniform direction, or the bearing of another robot than the neighbour,
     drawn from those that are left; with none, bearings stay."""
 
+    __repr__ = repr_of_changes
+
     def __post_init__(self) -> None:
         checks.check_fields(self, "sensing.{}")
         if self.delay > 0 and self.delay_time > 0.0:
@@ -180,6 +183,7 @@ class Sensing:
         return cls(noise=0.145) if line_of_sight else cls(noise=0.15, outliers=0.18)
 
     @classmethod
+    @known_arguments
     def fit(cls, bearings: Any, poses: Any, *, per_robot: bool = False, seed: int = 0) -> Sensing:
         """Sensor model of a log of bearings with ground truth.
 

@@ -10,10 +10,10 @@ for the normals n and velocities u of all touched obstacles. A robot slides alon
 frame, and is pushed where nᵀu > 0. Times are fractions of the step, velocities are displacements
 over a whole step, m.
 
-An obstacle is held up where it stops at robots instead of pushing them, where no velocity satisfies
-the inequalities (a robot between an obstacle and a wall), or where the robot would have to move
+An obstacle is held up in three cases: it stops at robots instead of pushing them; no velocity
+satisfies the inequalities (a robot between an obstacle and a wall); or the robot would have to move
 faster than ‖v‖ + max ‖u‖. All robots are moved again with each obstacle that is held up, in order
-of time, so the result does not depend on the order of robots.
+of time. The result therefore does not depend on the order of robots.
 """
 
 import numpy as np

@@ -44,3 +44,9 @@ def test_one_network_learns_in_every_stage_of_a_curriculum():
     large = rv.scenarios.resolve("clutter-24", n_robots=6, time_limit=1.0, **SIZE)
     found = rv.rollout(large, baselines.TrainedPolicy(large, model.predict), num_envs=2)
     assert np.isfinite(found.positions).all()
+    with pytest.raises(
+        ValueError, match=r"predict was trained for observations of shape \("
+    ) as said:
+        baselines.TrainedPolicy("clutter-4", model.predict)
+    assert "in 'clutter-4' it gets (55,), with neighbour_slots = 3 and" in str(said.value)
+    assert "Give the arguments of training_env in training" in str(said.value)

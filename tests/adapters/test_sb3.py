@@ -238,7 +238,7 @@ def test_invalid_discrete_action_is_rejected():
     robots.reset()
     robots.step(np.full(4, 8))
     for wrong in (1.5, np.nan, 9):
-        with pytest.raises(ValueError, match=f"team 0 is {wrong}; .* integer below 9"):
+        with pytest.raises(ValueError, match=f"environment 0 is {wrong}; .* integer below 9"):
             robots.step(np.full(4, wrong))
 
 
@@ -264,11 +264,14 @@ def test_slot_options_must_match_within_environment():
     env.set_options([{"obstacles": None}, {}] * ROBOTS)  # as if they were not given
     env.reset()
     env.set_options([{"obstacles": [rv.Disc((slot, 0.0), 0.1)]} for slot in range(2 * ROBOTS)])
-    with pytest.raises(ValueError, match="all teams need the same keys and obstacles"):
+    with pytest.raises(ValueError, match="all environments need the same keys and obstacles"):
         env.reset()
     start = np.zeros((ROBOTS, 2))
     for wrong, message in (
-        (start[:2], r"positions of team 1 has shape \(2, 2\); that of team 0 has \(3, 2\)"),
+        (
+            start[:2],
+            r"positions of environment 1 has shape \(2, 2\); that of environment 0 has \(3, 2\)",
+        ),
         ("x", "positions is 'x'"),
     ):
         env.set_options([{"positions": start}] * ROBOTS + [{"positions": wrong}] * ROBOTS)
@@ -303,7 +306,7 @@ def test_bad_actions_seeds_options_and_slots_are_rejected():
     for actions, message in (
         ("left", "actions is 'left'"),
         (np.zeros((2, 3, 2)), r"actions have shape \(2, 3, 2\); they must be \(6, 2\)"),
-        (np.full((6, 2), 1e40), "action of robot_0 in team 0"),  # of float32 it is infinite
+        (np.full((6, 2), 1e40), "action of robot_0 in environment 0"),  # of float32 it is infinite
     ):
         with pytest.raises(ValueError, match=message):
             env.step(actions)

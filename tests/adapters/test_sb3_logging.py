@@ -90,12 +90,12 @@ def test_episode_numbers_are_shares_and_means():
     numbers = episode_numbers([row, *others])
     assert numbers["episodes"] == 3
     assert numbers["success"] == pytest.approx(2 / 3)
-    assert numbers["clean_success"] == pytest.approx(1 / 3)
+    assert numbers["collision_free_success"] == pytest.approx(1 / 3)
     assert (numbers["median_time"], numbers["return"]) == (6.0, pytest.approx(2 / 3))
     assert numbers["contacts"] == pytest.approx(2 / 3)
     assert numbers["cost_rise"] == pytest.approx(0.5 / 3)
     assert numbers["reward_progress"] == pytest.approx(0.1)
-    assert np.isnan(episode_numbers([])["clean_success"])
+    assert np.isnan(episode_numbers([])["collision_free_success"])
 
 
 def test_tensorboard_has_the_names_of_rendezvous_train(tmp_path):
@@ -106,10 +106,17 @@ def test_tensorboard_has_the_names_of_rendezvous_train(tmp_path):
     events = EventAccumulator(str(folder))
     events.Reload()
     names = set(events.Tags()["scalars"])
-    wanted = ("success", "clean_success", "contacts", "return", "path_length", "cost_contact")
+    wanted = (
+        "success",
+        "collision_free_success",
+        "contacts",
+        "return",
+        "path_length",
+        "cost_contact",
+    )
     assert {f"train/{name}" for name in wanted} <= names
     assert {"train/reward_progress", "train/reward_time_penalty", "train/cost_rise"} <= names
-    assert 0.0 <= events.Scalars("train/clean_success")[0].value <= 1.0
+    assert 0.0 <= events.Scalars("train/collision_free_success")[0].value <= 1.0
 
 
 def test_weights_and_biases_get_what_the_logger_gets(tmp_path, monkeypatch):
@@ -131,7 +138,7 @@ def test_weights_and_biases_get_what_the_logger_gets(tmp_path, monkeypatch):
     assert model.logger.output_formats == writers
     steps = [step for step, _ in logged]
     assert steps == sorted(steps) and len(steps) == 3
-    assert "train/clean_success" in {name for _, values in logged for name in values}
+    assert "train/collision_free_success" in {name for _, values in logged for name in values}
     assert all(isinstance(value, float) for _, values in logged for value in values.values())
 
 

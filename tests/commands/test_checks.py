@@ -78,7 +78,7 @@ MISTAKES = {
     f"compare --policies learned:{'a' * 300}": "File name too long",
     f"compare --out {'a' * 253}": "File name too long",
     "compare --scenarios duo --out /dev/null/out": "cannot write there",
-    "compare --scenarios duo --set n_robots=30 spawn_size=0.5": "no room for the start",
+    "compare --scenarios duo --set n_robots=30 spawn_size=0.5": "no room for initial positions",
     "compare --jobs 0": "--jobs is 0; it must be 1 or more",
     "compare --address auto": "--address is auto; only --backend ray has one",
     "compare --scenario fig4 --against tangent-joind": "did you mean 'tangent-joined'",

@@ -18,6 +18,7 @@ from baselines import policy
 from rendezvous_env.obstacles.obstacle_set import distance_to, world_of
 from rendezvous_env.scenario import scenarios
 from train import cli, results, tasks
+from train.checks import UserError
 from train.compare import Config
 from train.listing import columns_of
 from train.policies import resolve_scenario
@@ -114,6 +115,10 @@ def test_set_overrides_scenario_fields():
     assert (found.n_robots, found.name) == (3, "clutter-8-n-robots-3-graph-cycle")
     assert found.sensing_graph.kind == "cycle"
     assert resolve_scenario("duo") == scenarios.get("duo")
+    with pytest.raises(UserError, match="no field 'speed_limit'; did you mean 'max_speed'"):
+        resolve_scenario("duo", ("speed_limit=1",))
+    with pytest.raises(UserError, match=r"--set sensing.noise=0.1: write sensing={noise=0.1}"):
+        resolve_scenario("duo", ("sensing.noise=0.1",))
 
 
 @pytest.mark.parametrize("step", [1e-9, 6e8])

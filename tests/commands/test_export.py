@@ -297,9 +297,11 @@ class TestModels:
 
     def test_a_file_is_refused_once_it_has_changed_or_where_it_does_not_fit(self, write):
         path = write("bare_network")
-        with pytest.raises(ValueError, match=r"reads observations of shape .* observe"):
-            small = rv.Scenario(n_robots=3)
-            rv.rollout(small, baselines.make(path, small))
+        with pytest.raises(
+            ValueError, match="onnx was trained for observations of shape"
+        ) as caught:
+            baselines.make(path, rv.Scenario(n_robots=3, name="small"))
+        assert "in 'small' it gets (4,), with neighbour_slots = 2" in str(caught.value)
         content = bytearray(path.read_bytes())
         content[len(content) // 2] ^= 1
         path.write_bytes(content)

@@ -43,8 +43,8 @@ class TestFiles:
         figures = {"success.png", "times.png", "trajectories-fig4.png"}
         assert written - {"report.html"} == tables | figures  # which other tests make of it
         assert (compared / "results.csv").read_text().splitlines()[0] == (
-            "scenario,policy,episodes,success,success_low,success_high,clean_success,clean_low,"
-            "clean_high,median_time,time_low,time_high,time_over_bound,path_length,min_clearance,"
+            "scenario,policy,episodes,success,success_low,success_high,collision_free_success,collision_free_low,"
+            "collision_free_high,median_time,time_low,time_high,time_over_bound,path_length,min_clearance,"
             "max_rise_between_merges,min_alignment,contacts"
         )
 
@@ -58,7 +58,7 @@ class TestFiles:
             assert [int(r["start"]) for r in own] == list(range(starts))
             assert int(row["episodes"]) == starts
             for name, column, of in (
-                ("success", "success", np.mean), ("clean_success", "clean", np.mean),
+                ("success", "success", np.mean), ("collision_free_success", "clean", np.mean),
                 ("median_time", "time", np.median), ("path_length", "path_length", np.median),
                 ("contacts", "contacts", np.mean), ("min_clearance", "clearance", min),
                 ("max_rise_between_merges", "max_rise_between_merges", max),
@@ -116,7 +116,7 @@ class TestFiles:
         rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(compared / "paired.csv")}
         joined = rows["fig4", "tangent-joined"]
         assert joined["against"] == "bearing-only"
-        assert float(joined["clean_difference"]) == 1.0  # law (1) touches every obstacle
+        assert float(joined["collision_free_difference"]) == 1.0  # law (1) touches every obstacle
         assert float(rows["uav-6", "zero"]["probability_of_improvement"]) == 0.0
 
     def test_incomplete_file_is_removed_and_old_one_kept(self, tmp_path):
@@ -227,7 +227,7 @@ TEN_SECONDS = Scenario(n_robots=2, time_step=0.1, time_limit=10.0)
 class TestStatistics:
     def test_summary_row_matches_hand_computation(self):
         row = statistics.summarise(TEN_SECONDS, "p", batch())
-        assert (row["success"], row["clean_success"], row["contacts"]) == (0.75, 0.5, 1.25)
+        assert (row["success"], row["collision_free_success"], row["contacts"]) == (0.75, 0.5, 1.25)
         assert row["median_time"] == 3.5  # of 2, 3, 4 and later than 10
         assert (row["time_over_bound"], row["min_clearance"]) == (0.75, 0.0)
 
@@ -255,12 +255,14 @@ class TestStatistics:
     def test_clean_is_undefined_without_contacts(self):
         through = batch(clean=np.full(4, np.nan))
         row = statistics.summarise(TEN_SECONDS, "p", through)
-        assert np.isnan([row["clean_success"], row["clean_low"], row["clean_high"]]).all()
+        assert np.isnan(
+            [row["collision_free_success"], row["collision_free_low"], row["collision_free_high"]]
+        ).all()
         assert row["success"] == 0.75 and row["success_low"] > 0
         assert [episode["clean"] for episode in through.rows()] == [None] * 4
         sooner = batch(clean=through.clean, time=np.array([1.0, 1, 1, 10]))
         (pair,) = statistics.compare_pairs("s", {"bearing-only": through, "other": sooner})
-        assert np.isnan(pair["clean_difference"])
+        assert np.isnan(pair["collision_free_difference"])
         assert pair["probability_of_improvement"] == (1 + 1 + 1 + 0.5) / 4  # by meeting sooner
 
     def test_paired_rows_match_hand_computation(self):
@@ -268,10 +270,10 @@ class TestStatistics:
         played = {"bearing-only": batch(), "other": better}
         (row,) = statistics.compare_pairs("s", played)
         assert (row["policy"], row["against"]) == ("other", "bearing-only")
-        assert row["clean_difference"] == 0.25
+        assert row["collision_free_difference"] == 0.25
         assert row["probability_of_improvement"] == (1 + 0.5 + 1 + 0.5) / 4
         (row,) = statistics.compare_pairs("s", played, against="other")
-        assert (row["policy"], row["clean_difference"]) == ("bearing-only", -0.25)
+        assert (row["policy"], row["collision_free_difference"]) == ("bearing-only", -0.25)
 
     def test_bootstrap_of_many_samples_uses_little_memory(self):
         """All resamples of 20,000 episodes at once would take 320 MB, and as much for indices."""

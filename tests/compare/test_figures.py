@@ -24,8 +24,8 @@ def row(scenario, policy, clean, **others):
     """Row of results.csv."""
     return {
         "scenario": scenario, "policy": policy, "success": 1.0, "success_low": 0.9,
-        "success_high": 1.0, "clean_success": clean, "clean_low": clean - 0.1,
-        "clean_high": clean + 0.05, "median_time": 4.0, "time_low": 3.0, "time_high": 6.0,
+        "success_high": 1.0, "collision_free_success": clean, "collision_free_low": clean - 0.1,
+        "collision_free_high": clean + 0.05, "median_time": 4.0, "time_low": 3.0, "time_high": 6.0,
     } | others  # fmt: skip
 
 
@@ -166,7 +166,12 @@ class TestPrint:
 
     def test_tank_figure_is_readable_in_percent(self):
         rows = [
-            {"budget": budget, "min_alignment": margin, "clean_success": 0.9, "bound": 1e4 / margin}
+            {
+                "budget": budget,
+                "min_alignment": margin,
+                "collision_free_success": 0.9,
+                "bound": 1e4 / margin,
+            }
             | {"episodes": 256}
             for budget in reproduce.BUDGETS
             for margin in reproduce.MARGINS

@@ -13,6 +13,7 @@ from conftest import contents
 from training_runs import UPDATE
 from training_runs import config as training
 
+from rendezvous_env.checks import counted
 from train import cli, resume
 from train.checks import UserError
 from train.compare import compare, out_folder, playing, upper_bound
@@ -61,9 +62,14 @@ class TestGoingOn:
     def test_resumed_compare_equals_uninterrupted(self, whole, tmp_path, capsys):
         out, after = tmp_path / "out", 4
         notes = stopped(config(out), after).__notes__
-        assert f"{after} finished tasks lie in {part_of(out)}" in notes[0] and not out.exists()
+        assert (
+            f"resumes with {counted(after, 'finished task')} in {part_of(out)}" in notes[0]
+            and not out.exists()
+        )
         assert compare.run(config(out)) == 0
-        assert f"resumes with {after} finished tasks" in " ".join(capsys.readouterr().out.split())
+        assert f"resumes with {counted(after, 'finished task')}" in " ".join(
+            capsys.readouterr().out.split()
+        )
         found = contents(out)
         assert {name: found[name] for name in SAME} == {name: whole[name] for name in SAME}
         assert not part_of(out).exists() and read(out).run["run"]

@@ -36,7 +36,7 @@ def shown(table, width=tables.WIDTH):
 
 
 class TestRanking:
-    def test_best_has_most_clean_success_then_least_time(self):
+    def test_best_has_most_collision_free_success_then_least_time(self):
         own = [played("fig4", "tangent", 0.5, 1.0), played("fig4", "tangent-joined", 0.9, 9.0)]
         [found] = ranking.rank([*own, played("fig4", "bearing-only", 0.9, 3.0)])
         assert found.best == "bearing-only" and found.tied == ("tangent-joined",)
@@ -50,7 +50,9 @@ class TestRanking:
         pair = [played("fig4", "tangent", best, 1.0), played("fig4", "tangent-joined", other, 2.0)]
         [found] = ranking.rank(pair)
         assert (found.tied == ("tangent-joined",)) == tied
-        difference, (low, high) = statistics.clean_difference(pair[1].episodes, pair[0].episodes)
+        difference, (low, high) = statistics.collision_free_difference(
+            pair[1].episodes, pair[0].episodes
+        )
         assert difference == -worse / STARTS and low <= difference <= high
 
     def test_single_initial_condition_is_not_ranked_by_interval(self):
@@ -100,13 +102,13 @@ class TestRanking:
         shares = {name: one.episodes for name, one in pair.items()}
         (row,) = statistics.compare_pairs("fig4", shares)
         low = starts / (starts + 1.959964**2)
-        ends = [row["clean_difference_low"], row["clean_difference_high"]]
+        ends = [row["collision_free_difference_low"], row["collision_free_difference_high"]]
         ends += [row["improvement_low"], row["improvement_high"]]
         assert ends == pytest.approx([2 * low - 1, 1, low, 1])
 
     def test_equal_policies_may_differ_elsewhere(self):
         one = played("fig4", "tangent", 0.5).episodes
-        difference, ends = statistics.clean_difference(one, one)
+        difference, ends = statistics.collision_free_difference(one, one)
         rest = 1.959964**2 / (STARTS + 1.959964**2)
         assert difference == 0 and ends == pytest.approx((-rest, rest))
 
@@ -196,7 +198,7 @@ class TestTables:
         text = shown(tables.results_table([fell, rose], {"fig4": scenarios.get("fig4")}))
         lines = {line.split()[0]: line for line in text.splitlines() if line.strip()}
         assert " none " in lines["tangent"] and " 0.25 " in lines["zero"]
-        assert "fig4, one start" in text and "nan" not in text and "[" not in lines["tangent"]
+        assert "fig4, 1 start" in text and "nan" not in text and "[" not in lines["tangent"]
 
     def test_tables_show_small_lengths(self):
         """In a world of micrometres V may double by an increase of 10⁻⁹ m²/s."""
@@ -249,8 +251,8 @@ class TestCommand:
         _, summary = said
         fig4 = summary["scenarios"]["fig4"]
         assert (fig4["starts"], fig4["best"], fig4["tied"]) == (1, "tangent-joined", [])
-        assert fig4["policies"]["bearing-only"]["clean_success"] == 0
-        assert fig4["policies"]["bearing-only"]["clean_low"] is None
+        assert fig4["policies"]["bearing-only"]["collision_free_success"] == 0
+        assert fig4["policies"]["bearing-only"]["collision_free_low"] is None
         assert {row["against"] for row in summary["paired"]} == {"tangent-joined"}
 
     def test_blind_policies_are_omitted_unless_named(self, tmp_path):

@@ -76,7 +76,7 @@ def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
     (row,) = results.read_csv(tmp_path / "ceiling.csv")
     assert row["scenario"] == "clutter-4" and row["runs"] == "2" and row["episodes"] == "3"
     rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(tmp_path / "results.csv")}
-    share = rows["clutter-4", "privileged-planner"]["clean_success"]
+    share = rows["clutter-4", "privileged-planner"]["collision_free_success"]
     assert float(share) == float(row["clean_planner"]) == 1.0
     said = capsys.readouterr().out
     assert "What can be reached" in said and "knows the map and all positions" in said

@@ -116,7 +116,7 @@ BAD_FIELDS = {
     "bounds empty": ({"bounds": lambda s: []}, "must be a list of numbers"),
     "bounds a number": ({"bounds": lambda s: 1.0}, "must be a list of numbers"),
     "bounds too few": ({"bounds": lambda s: [1.0]}, "propose of .* fails: IndexError"),
-    "bounds too many": ({"bounds": lambda s: [1.0] * 3}, r"do not look at action\[2\]"),
+    "bounds too many": ({"bounds": lambda s: [1.0] * 3}, r"do not use action\[2\]"),
     "bounds raise": ({"bounds": lambda s: s.nothing}, "bounds of .* fails: AttributeError"),
     "bounds no function": ({"bounds": [1.0, 1.0]}, "bounds of .* must be a function"),
     "constants none": ({"constants": None}, "constants of .* is None; it must be a function"),

@@ -349,8 +349,8 @@ def test_merge_beside_a_fast_obstacle_stays_outside():
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({}, "Moving has none of them; it must have one of velocity, waypoints or speed"),
-        ({"velocity": (1, 0), "speed": 1.0}, "velocity and speed; it must have one"),
+        ({}, "Moving has no motion; give exactly one of velocity, waypoints or speed"),
+        ({"velocity": (1, 0), "speed": 1.0}, "Moving has velocity and speed; give exactly one of"),
         ({"velocity": (1, 0, 0)}, "Moving.velocity is .* 2 numbers"),
         ({"waypoints": ((0, 0, 0),)}, "Moving.waypoints is .* two or more rows"),
         ({"waypoints": ((0, 1, 0), (1, 0, 0))}, r"Moving.waypoints\[0\] is .* zeros"),

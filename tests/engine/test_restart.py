@@ -84,6 +84,19 @@ def test_partial_resets_agree_and_keep_other_environments(scenario):
         np.testing.assert_array_equal(seen, expected)
 
 
+@pytest.mark.parametrize("count", [0, 1, 3, 40, 300])
+def test_restart_observes_any_number_of_environments_in_blocks(count):
+    """In single blocks of 32 environments, or all blocks at once where many are restarted."""
+    sim = Simulator(Scenario(n_robots=3, sensing=Sensing(noise=0.1)), 300)
+    outcome = sim.step(towards_neighbours(sim.scenario, sim.reset(0)))
+    before, mask = outcome.observations.copy(), np.zeros(300, np.bool_)
+    mask[np.random.default_rng(0).permutation(300)[:count]] = True
+    sim.restart(mask, outcome)
+    np.testing.assert_array_equal(outcome.observations[~mask], before[~mask])
+    assert (outcome.observations[mask] != before[mask]).any(axis=(1, 2, 3)).all()
+    np.testing.assert_array_equal(sim.observe(), outcome.observations)
+
+
 def test_finished_environment_is_frozen(scenario):
     """For any actions and any final velocity."""
     sim, _ = halfway(scenario)

@@ -124,7 +124,7 @@ def test_simulators_without_seed_differ():
 
 def test_step_before_full_reset_raises():
     sim, still = Simulator(Scenario(n_robots=2), 3), np.zeros((3, 2, 2))
-    for mask, words in ((None, ""), ([True, False, True], ": team 1 has had none")):
+    for mask, words in ((None, ""), ([True, False, True], ": environment 1 has had none")):
         if mask is not None:
             sim.reset(0, mask=np.array(mask))
         for teams in (sim, copy.deepcopy(sim)):
@@ -295,7 +295,9 @@ def test_bodies_reject_obstacles():
 def test_failed_reset_of_one_environment_changes_none():
     sim = started(five("unicycle", spawn_size=0.8, graph=graphs.complete()), 3, seed=[0, 1, 4])
     sim.step(np.ones((3, 5, 2)))
-    with refusing(sim, r"no room for the start of team 2.*spawn_size of 0\.8", RuntimeError):
+    with refusing(
+        sim, r"no room for initial positions in environment 2.*spawn_size of 0\.8", RuntimeError
+    ):
         sim.reset([4, 9, 2])
 
 
@@ -317,7 +319,7 @@ def test_non_finite_actions_change_nothing(kind, value):
     sim = started(five(kind), 40)  # two blocks
     actions = np.ones((40, 5, sim.scenario.action_size), np.float32)
     actions[38, 3, 1] = value
-    with refusing(sim, r"action of robot_3 in team 38 is .* must be finite"):
+    with refusing(sim, r"action of robot_3 in environment 38 is .* must be finite"):
         sim.step(actions)
     with refusing(sim, r"actions have shape \(5, 2\); they must be \(B, n, a\)"):
         sim.step(np.ones((5, 2)))

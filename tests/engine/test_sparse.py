@@ -138,7 +138,9 @@ def test_crowded_robot_is_named(sparse):
     actions = np.zeros((1, n, 2))
     sim.step(actions)
     actions[0, 0, 0] = scenario.speed_limit
-    message = rf"robot_0 of team 0 has more than neighbour_slots = {n // 2} neighbours after step"
+    message = (
+        rf"robot_0 of environment 0 has more than neighbour_slots = {n // 2} neighbours after step"
+    )
     with pytest.raises(RuntimeError, match=message):
         for _ in range(100):
             sim.step(actions)
@@ -152,13 +154,17 @@ def test_crowded_initial_condition_is_rejected():
     """A random graph, a directed one, and the star of the next episode after a path."""
     for robot, graph, slots in (("\\d", graphs.erdos_renyi(0.9), 1), (2, graphs.directed(ARCS), 2)):
         seen = Scenario(n_robots=5, graph=graph, neighbour_slots=slots)
-        with pytest.raises(RuntimeError, match=rf"robot_{robot} of team 0 has more .*{slots} .* 0"):
+        with pytest.raises(
+            RuntimeError, match=rf"robot_{robot} of environment 0 has more .*{slots} .* 0"
+        ):
             started(seen, 2)
     path = graphs.path().base_weights(4)
     star = Scenario(n_robots=4, graph="star", neighbour_slots=2, spawn_size=30.0)
     sim = started(star, weights=path)
     outcome = sim.step(np.zeros((1, 4, 2)))
-    with pytest.raises(RuntimeError, match="robot_0 of team 0 has more than neighbour_slots = 2"):
+    with pytest.raises(
+        RuntimeError, match="robot_0 of environment 0 has more than neighbour_slots = 2"
+    ):
         sim.restart(np.ones(1, bool), outcome)
     sim.reset(0, {"weights": path})  # and nothing of the refusal is left
     assert sim.step(np.zeros((1, 4, 2))).active.all()
@@ -190,7 +196,7 @@ def test_crowded_state_is_rejected(n):
     roomy = ring.replace(neighbour_slots=n - 1)
     started(ring, 2).set_state(started(roomy, 2).get_state())
     slim = Simulator(star.replace(neighbour_slots=3), 2)
-    with refusing(slim, f"robot_0 of team 0 {n - 1} neighbours; .* = 3"):
+    with refusing(slim, f"robot_0 of environment 0 {n - 1} neighbours; .* = 3"):
         slim.set_state(started(star, 2).get_state())
 
 

@@ -8,7 +8,7 @@ from rendezvous_env import kernel_cache
 from rendezvous_env.compilation import compiled
 from rendezvous_env.engine.stages.apply_noise import apply_noise
 from rendezvous_env.engine.stages.collide import merge_robots
-from rendezvous_env.engine.stages.conclude import conclude_step
+from rendezvous_env.engine.stages.conclude import add_step, conclude_step
 from rendezvous_env.engine.stages.propose import propose_motion
 from rendezvous_env.engine.stages.sense_neighbours import sense_pairs
 from rendezvous_env.rewards import terms
@@ -82,3 +82,22 @@ def test_initial_lyapunov_of_an_awaiting_environment_follows_its_step():
     simulator.step(np.zeros((2, 3, 2), np.float32))
     np.testing.assert_array_equal(simulator.initial_lyapunov, other.initial_lyapunov)
     assert (simulator.initial_lyapunov > 0.0).all()
+
+
+@pytest.mark.kernels
+def test_rewards_and_contacts_of_steps_add_up():
+    """Environment 1 of 3 ends in the first of two steps; the slice leaves out environment 2."""
+    status, resting = np.array([0, 1, 1]), np.zeros(3, np.bool_)
+    rewards, robot_rewards = np.array([1.0, 2.0, 4.0]), np.array([[0.5, 1.0]] * 3)
+    contact = np.array([[True, False], [False, True], [True, True]])
+    step = rewards, robot_rewards, contact
+    totals = np.zeros(3), np.zeros((3, 2)), np.zeros((3, 2), np.bool_)
+    add_step(status, resting, step, totals, 0, 2, False)
+    assert resting.tolist() == [False, True, False]
+    assert contact.tolist() == [[False, False], [False, False], [True, True]]
+    contact[0, 1] = True
+    add_step(status, resting, step, totals, 0, 2, True)
+    assert contact[0].tolist() == [False, True]  # those of the last step are kept
+    assert totals[0].tolist() == [2.0, 4.0, 0.0]
+    assert totals[1].tolist() == [[1.0, 2.0], [1.0, 2.0], [0.0, 0.0]]
+    assert totals[2].tolist() == [[True, True], [False, True], [False, False]]

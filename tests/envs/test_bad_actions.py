@@ -77,13 +77,13 @@ def test_training_env_names_robot(form, bad):
 @pytest.mark.parametrize(
     ("form", "bad", "message"),
     [
-        ({}, np.full((2, 4, 2), np.nan), "action of robot_0 in team 0 is .*must be finite"),
+        ({}, np.full((2, 4, 2), np.nan), "action of robot_0 in environment 0 is .*must be finite"),
         ({}, np.zeros((2, 4)), r"shape \(2, 4\); they must be \(B, n, 2\) = \(2, 4, 2\)"),
-        ({"discrete": True}, np.full((2, 4), 9), "robot_0 in team 0 is 9.*integer below 9"),
-        ({"discrete": True}, np.full((2, 4), 1.5), "robot_0 in team 0 is 1.5"),
-        ({"discrete": True}, [[0, 0, 0, 0], [0, 0, -1, 0]], "robot_2 in team 1 is -1"),
+        ({"discrete": True}, np.full((2, 4), 9), "robot_0 in environment 0 is 9.*integer below 9"),
+        ({"discrete": True}, np.full((2, 4), 1.5), "robot_0 in environment 0 is 1.5"),
+        ({"discrete": True}, [[0, 0, 0, 0], [0, 0, -1, 0]], "robot_2 in environment 1 is -1"),
         ({"discrete": True}, np.zeros((2, 4, 2)), r"they must be \(B, n\) = \(2, 4\)"),
-        ({"discrete": True}, np.full((2, 4), np.inf), "robot_0 in team 0 is inf"),
+        ({"discrete": True}, np.full((2, 4), np.inf), "robot_0 in environment 0 is inf"),
         ({"discrete": True}, [[None] * 4] * 2, "actions is .* must be numbers"),
     ],
 )

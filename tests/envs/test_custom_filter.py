@@ -85,6 +85,36 @@ def test_filter_instance_serves_one_wrapper():
         assert home.GuaranteeWrapper(make(), made).filter is made  # nobody holds it any more
 
 
+class CountingTank(EnergyTank):
+    """Tank that counts how often its calls are made anew."""
+
+    count = 0
+
+    def apply_calls(self, *given):
+        self.count += 1
+        return super().apply_calls(*given)
+
+
+class ReusingTank(CountingTank):
+    reuses_calls = True
+
+
+@pytest.mark.parametrize(("kind", "count"), [(CountingTank, 5), (ReusingTank, 2)])
+def test_calls_are_reused_in_a_decision_only_if_a_filter_says_so(kind, count):
+    made = lambda kind: rv.vector.GuaranteeWrapper(  # noqa: E731
+        rv.make_vec("clutter-4", 3, num_threads=1), kind, decision_period=5, budget=1.0
+    )
+    plain, counting = made(EnergyTank), made(kind)
+    plain.reset(seed=0), counting.reset(seed=0)
+    assert EnergyTank.reuses_calls
+    for step in range(1, 4):
+        choices = np.random.default_rng(step).uniform(-1, 1, plain.action_space.shape)
+        (seen, *rest), (own, *others) = plain.step(choices), counting.step(choices)
+        np.testing.assert_array_equal(own, seen)
+        np.testing.assert_array_equal(others[0], rest[0])
+        assert counting.filter.count == count * step
+
+
 def test_invalid_filter_is_rejected():
     base = rv.parallel_env("fig3")
     with pytest.raises(TypeError, match="HalfSpeed has no setting 'leats'; did you mean 'least'"):
@@ -99,7 +129,11 @@ def test_invalid_filter_is_rejected():
         (rv.GuaranteeWrapper, (base, "half_sped"), "safety_filter is 'half_sped'"),
         (rv.GuaranteeWrapper, (base, 5), "safety_filter is 5; it must be one of"),
         (rv.GuaranteeWrapper, (base, dict), "safety_filter is <class 'dict'>; .* a subclass of it"),
-        (rv.GuaranteeWrapper, (base, HalfSpeed(base.scenario, 2)), "this scenario and 1 teams"),
+        (
+            rv.GuaranteeWrapper,
+            (base, HalfSpeed(base.scenario, 2)),
+            "this scenario and 1 environment",
+        ),
         (rv.register_filter, ("heading", HalfSpeed), "which are taken"),
         (rv.register_filter, ("other", dict), "subclass of SafetyFilter"),
         (rv.register_filter, ("no word", HalfSpeed), "a word"),
@@ -205,6 +239,13 @@ def test_statistics_recorder_keeps_tanks_of_others():
     np.testing.assert_array_equal(env.step(away)[0][0], whole.step(away)[0][0])
 
 
+def test_training_env_logs_no_missing_guarantee_before_it_refuses(caplog):
+    fields = {"n_robots": 12, "neighbour_slots": 7, "neighbour_overflow": "nearest"}
+    with pytest.raises(ValueError, match="neighbour"):
+        rv.vector.training_env("clutter-4", 2, **fields)
+    assert not caplog.messages
+
+
 def test_training_env_logs_missing_guarantee_once(caplog):
     """Including errors that are unknown to its wrapper."""
     erring = rv.Scenario(n_robots=2, sensing=rv.Sensing(error=0.01))
@@ -215,6 +256,7 @@ def test_training_env_logs_missing_guarantee_once(caplog):
         (erring, {"bearing_error": 0.01}, []),
     ):
         caplog.clear()
-        for _ in range(2):
-            rv.vector.training_env(scenario, learning_preset=False, time_limit=7.25, **given)
+        for number in range(2):
+            fields = {"time_limit": 7.25, "reward": {"time_penalty": float(number)}} | given
+            rv.vector.training_env(scenario, learning_preset=False, **fields)
         assert len(caplog.messages) == len(words) and all(word in caplog.text for word in words)

@@ -281,7 +281,9 @@ def test_partial_reset_does_not_excuse_other_environments(which):
     choices = draw(env, np.random.default_rng(0))
     only_first, only_second = ({"reset_mask": np.arange(2) == k} for k in range(2))
     env.reset(seed=0, options=only_first)
-    with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\): team 1 has had none"):
+    with pytest.raises(
+        RuntimeError, match=r"call reset\(\) before step\(\): environment 1 has had none"
+    ):
         env.step(choices)
     env.reset(seed=0, options=only_second)
     env.step(choices)
@@ -347,7 +349,9 @@ def test_multi_step_wrapper_between_is_rejected(which, teams, step):
     env = GUARANTEES[which].both[teams](between(base))
     env.reset(seed=0)
     choices = draw(env, np.random.default_rng(0))
-    with pytest.raises(RuntimeError, match=r"beneath .* has stepped or reset the teams itself"):
+    with pytest.raises(
+        RuntimeError, match=r"beneath .* has stepped or reset the environments itself"
+    ):
         env.step(choices)
     with pytest.raises(RuntimeError, match=r"call reset\(\)"):
         env.step(choices)

@@ -210,7 +210,7 @@ def test_reward_terms_of_ones_own_are_merged_with_the_preset(make, guarantee, ca
             env = make(**{"scenario": SCENARIO, "guarantee": guarantee} | how)
             assert env.scenario.reward == expected
             assert getattr(env, "teams", env).unwrapped.scenario.reward == expected
-        assert f"in force are {expected} and contact_penalty 1" in caplog.text
+        assert f"reward in use: {expected.to_plain()}, contact_penalty 1" in caplog.text
         one = make(SCENARIO, guarantee=guarantee, reward={"time_penalty": 0.3}).scenario.reward
         assert one == dataclasses.replace(preset, time_penalty=0.3)
         same = {"progress": 1.0}  # what is told is in force, though it is the default

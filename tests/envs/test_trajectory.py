@@ -143,9 +143,11 @@ def test_unrecordable_policy_is_rejected(record):
 
 
 def test_large_recording_warns():
-    with pytest.warns(UserWarning, match=r"may keep .* GB.*; take fewer teams or steps, or record"):
+    message = r"may keep .* GB.*; take fewer environments or steps, or record"
+    with pytest.warns(UserWarning, match=message) as warned:
         with pytest.raises(ZeroDivisionError):
             rollout("clutter-24", lambda seen, time: 1 / 0, num_envs=20_000, record="all")
+    assert warned[0].filename == __file__
 
 
 def test_announced_size_equals_stored_size(monkeypatch):

@@ -43,6 +43,9 @@ def test_repr_says_what_was_run_and_how_it_ended(found):
 def test_collision_free_is_where_no_robot_touched_an_obstacle(found):
     assert found.collision_free.shape == (2,)
     assert found.collision_free.tolist() == [not env.any() for env in found.contacts.swapaxes(0, 1)]
+    both = zip(found.success, found.collision_free, strict=True)
+    assert found.collision_free_success.tolist() == [bool(met and free) for met, free in both]
+    assert 0 < found.success.sum() < 2
     passing = rv.rollout(WALL, baselines.make("zero", WALL.replace(time_limit=0.2)))
     assert passing.collision_free.tolist() == [True]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from conftest import ROOT
 from training_runs import UPDATE, assert_goes_on, assert_same_run, config, flags, network, resumed
 
 import rendezvous_env as rv
@@ -20,7 +21,7 @@ from train import cli, results
 from train.checks import UserError
 from train.compare.compare import Job, play_job, summary
 from train.learn import checkpoint, ppo, rollout_buffer, trainer
-from train.learn.log import EVALUATION, METRICS
+from train.learn.log import EVALUATION, METRICS, Table, read_evaluations
 from train.learn.ppo import Config
 
 
@@ -35,7 +36,7 @@ class TestFiles:
         expected = [first * max(1 - (k + 1) / 12, 0.05) for k in range(12)]
         np.testing.assert_allclose(rates, expected)
         ended = [row for row in rows if int(row["episodes"])]
-        assert ended and all(0 <= float(row["clean_success"]) <= 1 for row in ended)
+        assert ended and all(0 <= float(row["collision_free_success"]) <= 1 for row in ended)
         for row in rows:
             assert 0.05 <= float(row["alignment"]) <= 1
             assert 0 < float(row["environment_share"]) < 1 and float(row["wall_s"]) > 0
@@ -152,23 +153,36 @@ class TestResult:
         assert dict(result.metrics) | {"evaluation": told[-1][1]["evaluation"]} == told[-1][1]
         evaluated = [metrics["evaluation"][0] for _, metrics in told if metrics["evaluation"]]
         for one, other in zip(evaluated, result.evaluations, strict=True):
-            for name in ("step", "scenario", "clean_success"):
+            for name in ("step", "scenario", "collision_free_success"):
                 assert one[name] == other[name]
         assert result.final[0]["step"] == result.steps
-        clean = [row["clean_success"] for row in evaluated]
+        clean = [row["collision_free_success"] for row in evaluated]
         assert result.best[0]["step"] == evaluated[clean.index(max(clean))]["step"]
+
+    def test_former_columns_of_logs_are_read_and_replaced(self, whole, tmp_path):
+        path = tmp_path / "metrics.csv"
+        text = (whole / "metrics.csv").read_text(encoding="utf-8")
+        path.write_text(text.replace("collision_free_", "clean_"), encoding="utf-8")
+        assert "clean_success" in path.read_text(encoding="utf-8")
+        Table(path, METRICS, step=10**9).begin()
+        assert path.read_text(encoding="utf-8") == text
+        shipped = ROOT / "baselines/learned/pretrained/evaluation.csv"  # of an earlier version
+        (first, *_) = read_evaluations(shipped, 10**9)
+        assert 0.0 < first["collision_free_low"] <= first["collision_free_success"] <= 1.0
+        with pytest.warns(DeprecationWarning, match="'clean_success' is called 'collision_free_s"):
+            assert first["clean_success"] == first["collision_free_success"]
 
     def test_progress_line_omits_missing_values(self, tmp_path, capsys):
         """No rendezvous in two seconds, and no contacts where robots pass through obstacles."""
         fields = ("obstacle_contact=ignore", "time_limit=2")
         ppo.run(config(tmp_path, total_steps=UPDATE, eval_every=1, set=fields))
         said = capsys.readouterr().out
-        assert "met 0 % · cleanly 0 % · – s" in said and "cleanly – [–, –] %" in said
+        assert "met 0 % · collision-free 0 % · – s" in said and "collision-free – [–, –] %" in said
         assert "nan" not in said
 
     def test_best_evaluation_is_over_all_scenarios(self, tmp_path):
         def row(step, clean, success=1.0):
-            return {"step": step, "clean_success": clean, "success": success}
+            return {"step": step, "collision_free_success": clean, "success": success}
 
         def result_of(*rows):
             return ppo.Result(tmp_path, 0, False, 3, {}, rows)

@@ -149,7 +149,7 @@ class TestFunctions:
         raw[1, 2, 0] = np.nan
         for choice, given, message in (
             ([0.0, 1.0], seen, rf"choose gave .* \(2,\); .* \(3, {n}, 2\)"),
-            (raw, seen, "action of robot_2 in team 1 is"),
+            (raw, seen, "action of robot_2 in environment 1 is"),
             (raw, seen[:, :1], "observations have shape"),
         ):
             with pytest.raises(ValueError, match=message):
@@ -244,11 +244,31 @@ class TestModels:
         with pytest.raises(TypeError, match="guarante"):
             TrainedPolicy("duo", lambda seen: seen, guarante="tank")
         policy = TrainedPolicy("duo", lambda seen: seen)
-        with pytest.raises(ValueError, match=r"what predict gave .*; it must be \(2, 2\)"):
+        with pytest.raises(ValueError, match=r"output of predict .*; it must be \(2, 2\)"):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
         policy = TrainedPolicy("duo", lambda seen: np.full(len(seen), 1.5), discrete=True)
-        with pytest.raises(ValueError, match=r"robot_0 in team 0 is 1.5; it must be an integer"):
+        with pytest.raises(
+            ValueError, match=r"robot_0 in environment 0 is 1.5; it must be an integer"
+        ):
             policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("made_for", "played", "message"),
+    [
+        ("clutter-4", "clutter-8", "made for 'clutter-4'; in 'clutter-8' obstacle_slots is 8 inst"),
+        ("duo", "ring-12", "made for 'duo'; in 'ring-12' neighbour_slots is 2 instead of 1"),
+        (
+            rv.Scenario(n_robots=3, name="free"),
+            rv.Scenario(n_robots=3, name="turning", robot_model="unicycle"),
+            "robot_model is 'unicycle' instead of 'single_integrator': make the policy with",
+        ),
+    ],
+)
+def test_policy_made_for_another_scenario_is_rejected_with_both_values(made_for, played, message):
+    policy = HeadingPolicy(made_for, itemgetter((..., 0, slice(None))))
+    with pytest.raises(ValueError, match=message):
+        rv.rollout(played, policy)
 
 
 class TestDicts:

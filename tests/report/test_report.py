@@ -13,10 +13,10 @@ import pytest
 from report_data import arrays_of, data_of
 
 from rendezvous_env import Disc
+from rendezvous_env.checks import counted
 from rendezvous_env.obstacles.obstacle_set import pack
 from train import cli, results
 from train import encoding as report_encoding
-from train.console import counted
 from train.report import build as report
 from train.report.input import read
 
@@ -215,6 +215,17 @@ def test_modified_description_is_rejected(content, message, folder, refused):
     text = content if isinstance(content, str) else json.dumps(run_of(folder) | content)
     (folder / "run.json").write_text(text)
     assert message in refused(folder)
+
+
+def test_folder_of_the_former_format_is_read(folder, compared, reseal):
+    for name in ("results.csv", "paired.csv"):
+        text = (folder / name).read_text()
+        assert "collision_free_" in text
+        (folder / name).write_text(text.replace("collision_free_", "clean_"))
+    reseal(folder, format_version=5)
+    former, current = read(folder), read(compared)
+    assert former.rows == current.rows and "collision_free_success" in former.rows[0]
+    assert former.paired == current.paired
 
 
 class TestForged:

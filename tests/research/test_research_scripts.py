@@ -33,13 +33,13 @@ SETTINGS = PolicySettings(
 @pytest.fixture
 def folder(tmp_path):
     metrics = [
-        dict.fromkeys(METRICS, 0) | {"step": 10**6 * k, "clean_success": 0.05 * k}
+        dict.fromkeys(METRICS, 0) | {"step": 10**6 * k, "collision_free_success": 0.05 * k}
         for k in range(1, 12)
     ]
     evaluations = [
         dict.fromkeys(EVALUATION, 0)
-        | {"step": 10**6 * k, "scenario": name, "clean_success": share, "clean_low": share - 0.1,
-           "clean_high": share + 0.05}
+        | {"step": 10**6 * k, "scenario": name, "collision_free_success": share,
+           "collision_free_low": share - 0.1, "collision_free_high": share + 0.05}
         for k in (1, 2) for name, share in (("clutter-24", 0.3 * k), ("clutter-16", 0.9))
     ]  # fmt: skip
     results.write_csv(tmp_path / "metrics.csv", metrics, METRICS)
@@ -59,7 +59,7 @@ def test_learning_figure_is_drawn(folder):
 
 def test_update_without_episode_leaves_gap(folder):
     rows = results.read_csv(folder / "metrics.csv")
-    rows[9]["clean_success"] = ""
+    rows[9]["collision_free_success"] = ""
     results.write_csv(folder / "metrics.csv", rows, METRICS)
     training = learning_figure({"tank": folder}, "clutter-24").axes[0].get_lines()[0]
     np.testing.assert_allclose(training.get_ydata(), [45, np.nan, 55])

@@ -69,6 +69,18 @@ def test_certificate_of_a_filtered_policy_is_that_of_its_settings(policy, asked)
     assert found.by == wanted.by
 
 
+def test_certificate_of_a_policy_of_another_scenario_names_fields_and_both_values():
+    policy = baselines.HeadingPolicy(RING.replace(merge_radius=0.3, time_limit=9.0), first_row)
+    with pytest.raises(ValueError, match="policy is HeadingPolicy") as caught:
+        rv.certificate(RING, policy=policy)
+    assert "made for 'ring-12'; in 'ring-12' merge_radius is 0.2 instead of 0.3: make the" in str(
+        caught.value
+    )
+    assert "time_limit" not in str(caught.value)
+    with pytest.raises(ValueError, match=r"n_robots is 12 instead of 2, graph is .* instead of .*"):
+        rv.certificate(RING, policy=baselines.HeadingPolicy("duo", first_row))
+
+
 def test_certificate_of_a_filter_switched_off_promises_nothing():
     bare = baselines.HeadingPolicy(RING, first_row, certified=False)
     assert not rv.certificate(RING, policy=bare).guaranteed
@@ -109,7 +121,7 @@ def test_certificate_needs_the_turn_rate_of_robots_that_turn():
 
 def test_certificate_refuses_a_policy_of_another_scenario():
     policy = baselines.make("bearing-only", rv.Scenario(n_robots=4))
-    with pytest.raises(ValueError, match="policy is 'BearingOnly'; it must be made for this"):
+    with pytest.raises(ValueError, match="policy is BearingOnly, made for 'custom'; in 'ring-12'"):
         rv.certificate(RING, policy=policy)
 
 

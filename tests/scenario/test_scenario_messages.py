@@ -134,6 +134,13 @@ REFUSED = [
     ({"radius": 0.1}, r"no field 'radius'; did you mean 'body_radius'"),
     ({"merge": 0.1}, r"no field 'merge'; did you mean 'on_merge'"),
     ({"dt": 0.1}, "no field 'dt'; did you mean 'time_step'"),
+    ({"speed_limit": 1}, "no field 'speed_limit'; did you mean 'max_speed'"),
+    ({"turn_limit": 1}, "no field 'turn_limit'; did you mean 'max_turn_rate'"),
+    ({"tau": 1}, "no field 'tau'; did you mean 'time_step'"),
+    ({"N_ROBOTS": 3}, "no field 'N_ROBOTS'; did you mean 'n_robots'"),
+    ({"action_size": 3}, "no field 'action_size'; it follows from other fields and cannot be set"),
+    ({"dropout": 0.1}, "no field 'dropout'; it is a field of sensing; give it there"),
+    ({"obstacles": [{"radius": 1, "center": [0, 0]}]}, "did you mean 'centre'"),
     ({"max_steps": 9}, "'max_steps'; did you mean 'time_limit'.* not in steps"),
 ]  # fmt: skip
 
@@ -152,8 +159,28 @@ def test_unknown_field_names_closest_match():
             )
     assert "did you mean 'progress'" in refusal(rv.RewardWeights, progres=1, kind=TypeError)
     assert "did you mean 'dropout'" in refusal(rv.Sensing, drop_out=0.1)
+    assert "Disc has no field 'center'; did you mean 'centre'" in refusal(
+        Disc, center=(0, 0), radius=1, kind=TypeError
+    )
+    assert "did you mean 'max_speed'" in refusal(rv.scenarios.get("duo").replace, speed_limit=1)
     with pytest.raises(TypeError, match="positional"):
         rv.RewardWeights(1, 2, 3, 4, 5, 6)
+
+
+@pytest.mark.parametrize(
+    ("call", "given", "message"),
+    [
+        (rv.certificate, {"min_aligment": 0.1}, "certificate has no argument .* 'min_alignment'"),
+        (rv.rollout, {"num_env": 2}, "rollout has no argument 'num_env'; did you mean 'num_envs'"),
+        (rv.graphs.cycle, {"weigth": 2.0}, "cycle has no argument 'weigth'; .* 'weight'"),
+        (rv.Sensing.fit, {"posses": 1}, "fit has no argument 'posses'; did you mean 'poses'"),
+        (rv.ObstacleField, {"radii": 1}, "ObstacleField has no field 'radii'; .* 'radius'"),
+        (rv.Moving, {"velocities": 1}, "Moving has no field 'velocities'; .* 'velocity'"),
+    ],
+)
+def test_unknown_argument_of_a_function_names_the_closest_one(call, given, message):
+    said = refusal(call, kind=TypeError, **given)
+    assert re.search(message, said), said
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ class TestField:
     def test_impossible_walls_are_error(self):
         crowd = np.stack(np.meshgrid(*2 * [np.linspace(-9, 9, 10)]), axis=-1).reshape(-1, 2)
         walls = field("trap", keep_out=2.0)
-        with pytest.raises(RuntimeError, match="no room for the start of team 0"):
+        with pytest.raises(RuntimeError, match="no room for initial positions in environment 0"):
             started(Scenario(n_robots=100, obstacles=walls), positions=crowd)
 
 
@@ -175,5 +175,5 @@ class TestNobodyIsWalledIn:
     def test_hopeless_field_is_error(self):
         """One robot amid many discs, and one outside."""
         closed = ObstacleField(400, (0.8, 0.9), 12, 0.3, passage=0.6)
-        with pytest.raises(RuntimeError, match="no room for the start"):
+        with pytest.raises(RuntimeError, match="no room for initial positions"):
             started(Scenario(n_robots=2, obstacles=closed), positions=[[0.0, 0.0], [0.0, 20.0]])

@@ -14,11 +14,16 @@ from strategies import DEEP, HUGE, UNWRITABLE, refusal
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario
-from rendezvous_env.checks import short_repr
+from rendezvous_env.checks import counted, short_repr
 from rendezvous_env.limits import MAX_STEPS
 from rendezvous_env.simulator import Simulator
 
 PAIR = Scenario(n_robots=2)
+
+
+def test_counted_gives_the_plural_unless_the_count_is_one():
+    assert [counted(n, "step") for n in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
+    assert [counted(n, "policy") for n in (1, 3)] == ["1 policy", "3 policies"]
 
 
 @pytest.mark.parametrize(
@@ -88,7 +93,7 @@ def test_invalid_action_arrays_are_rejected(name):
         for team in (wrong, [wrong, wrong]):
             message = refusal(env.step, team if single else [team])
             assert re.match(
-                r"actions? (is|have shape|of robot_\d in team 0 is) .* must be", message
+                r"actions? (is|have shape|of robot_\d in environment 0 is) .* must be", message
             )
     np.testing.assert_equal(env.get_state(), before)
     message = refusal(env.step, [[0, 0], [1e300, 0]] if single else [[[0, 0], [1e300, 0]]])
@@ -183,6 +188,16 @@ WRONG_OPTIONS = [
     (5, "options is 5; it must be None or a dict"),
     ([("positions", 1)], "options is .* None or a dict"),
     ({"position": 1}, "options: 'position' is not an option; did you mean 'positions'"),
+    (
+        {"start_positions": 1},
+        "options: 'start_positions' is not an option; did you mean 'positions'",
+    ),
+    ({"adjacency": 1}, "options: 'adjacency' is not an option; did you mean 'weights'"),
+    (
+        {"speed_limit": 1},
+        "options: 'speed_limit' is of the scenario.* environment with max_speed=…",
+    ),
+    ({"n_robot": 3}, "options: 'n_robot' is of the scenario.* environment with n_robots=…"),
     ({"positions": [[HUGE, 0], [0, 0]]}, "positions is .* numbers"),
     ({"positions": DEEP}, "positions is"),
     ({"frames": np.full((2, 2, 2), 1e300)}, "frames of robot_0 is"),
@@ -260,7 +275,7 @@ def test_policies_reject_invalid_masks_and_times():
     policy = baselines.make("tangent-certified", CLUTTER)
     policy(np.zeros((3, 2, *CLUTTER.observation_layout.shape)), 0.0)
     for wrong in ([True], "abc", [[True, False, True]], [1, 0, 1], 5):
-        assert "one for each of 3 teams" in refusal(policy.reset, wrong)
+        assert "one for each of 3 environments" in refusal(policy.reset, wrong)
     policy.reset([True, False, True])
     scenario = Scenario(n_robots=2, robot_model="unicycle")
     policy = baselines.make("unicycle-cosine", scenario)

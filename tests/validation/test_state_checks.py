@@ -57,7 +57,7 @@ WRONG_ENTRIES = [
     ("episode", 4, -2, "episode[4] is -2"),
     ("status", 4, -1, "status[4] is -1; it must be 0 to 3"),
     ("status", 4, 4, "status[4] is 4; it must be 0 to 3"),
-    ("status", 4, RENDEZVOUS, "1 exactly in teams in which one robot is left"),
+    ("status", 4, RENDEZVOUS, "1 exactly in environments in which one robot is left"),
     ("steps", 4, -1, "steps[4] is -1; it must be 0 or more"),
     ("initial_lyapunov", 4, -1.0, "initial_lyapunov[4] is -1.0; it must be 0 or more"),
     ("min_clearance", 4, np.nan, "min_clearance[4] is nan; it must be a length"),

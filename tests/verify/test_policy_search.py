@@ -81,7 +81,8 @@ def search(out, policy, trials=24, **options):
 def test_search_finds_nothing_wrong_with_a_law_that_converges(own, tmp_path):
     status, rows, printed = search(tmp_path / "out", own + "half")
     assert status == 0
-    assert "0 counterexamples" in printed
+    assert "24 initial conditions of 4 random scenarios under searched_policies:half" in printed
+    assert "0 counterexamples, " in printed
     assert [row["searched"] for row in rows] == list(SEARCHED)
     assert {(row["draws"], row["violations"]) for row in rows} == {("4", "0")}
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["policy.csv"]
@@ -118,9 +119,11 @@ def test_search_finds_and_shrinks_every_kind_of_counterexample(own, tmp_path):
 
 
 def test_search_takes_rest_for_a_deadlock_only(own, tmp_path):
-    _, rows, _ = search(tmp_path / "out", own + "resting", trials=6)
+    _, rows, printed = search(tmp_path / "out", own + "resting", trials=6)
     found = {row["searched"]: row["violations"] for row in rows}
     assert found == {"rise": "0", "growth": "0", "deadlock": "1"}
+    assert "6 initial conditions of 1 random scenario under " in printed
+    assert "1 counterexample, " in printed
 
 
 def test_search_takes_a_policy_that_fits_some_teams_only(own, tmp_path):

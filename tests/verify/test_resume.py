@@ -8,6 +8,7 @@ import pytest
 from conftest import contents
 from rich.console import Console
 
+from rendezvous_env.checks import counted
 from train import resume
 from train.checks import UserError
 from train.results import read_csv
@@ -68,9 +69,9 @@ def test_finished_claims_are_not_repeated(after, tmp_path):
     out = tmp_path / "out"
     notes = stopped(config(out), after).__notes__
     folder = out / "verify.part"
-    assert notes == [f"{after} finished tasks lie in {folder}; the same command resumes"]
+    assert notes == [f"the same command resumes with {counted(after, 'finished task')} in {folder}"]
     done, printed = checked(config(out))
-    assert f"resumes with {after} finished tasks" in printed
+    assert f"resumes with {counted(after, 'finished task')}" in printed
     assert done == whole[after:] and len(whole) == 9
     assert read_csv(out / "verify.csv") == read_csv(tmp_path / "whole/verify.csv")
     assert [path.name for path in out.iterdir()] == ["verify.csv"]
@@ -85,7 +86,10 @@ def test_finished_random_scenarios_are_not_repeated(tmp_path):
         done, again = checked(config(tmp_path, **settings))
     assert done == whole[2:] and len(whole) == 3
     assert read_csv(tmp_path / "any.csv") == read_csv(tmp_path / "whole/any.csv")
-    assert printed.split(" of 24 teams")[0] in again and "72 random scenarios" in again
+    assert (
+        printed.split(" of 24 environments")[0] in again
+        and "72 initial conditions of 12 random scenarios" in again
+    )
 
 
 def test_other_command_or_program_is_rejected(tmp_path, monkeypatch):

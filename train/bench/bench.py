@@ -87,7 +87,9 @@ def run(config: Config) -> None:
     sizes = {}
     for n in config.robots:
         state, seen = sizes[n] = _bytes_per_team(n, config)
-        console.print(f"memory per team, n = {n}: {state:,} bytes of state, {seen:,} observed")
+        console.print(
+            f"memory per environment, n = {n}: {state:,} bytes of state, {seen:,} observed"
+        )
     if config.json is not None:
         write_json(config.json, _content(rows, sizes, config))
 

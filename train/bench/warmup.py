@@ -7,12 +7,13 @@ from rich.progress import track
 from tyro.conf import arg
 
 from rendezvous_env import baselines
+from rendezvous_env.checks import counted
 from rendezvous_env.scenario.scenarios import names
 
 from ..checks import Flags
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
-from ..console import Console, counted
+from ..console import Console
 from ..policies import resolve_scenario
 
 

@@ -12,8 +12,10 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rendezvous_env.checks import counted
+
 from .. import results
-from ..console import Console, counted
+from ..console import Console
 from ..resume import RunCheckpoint
 from ..tasks import Workers, parallel_map
 from . import out_folder, statistics, sweep, tables, upper_bound
@@ -272,6 +274,5 @@ def _pictures(found: Found, config: Config) -> Iterator[Picture]:
             if done.job.scenario == scenario and 0 in done.recordings
         }
         if first and scenario.dim == 2:
-            own = figures.own_names(found.rows)
-            draw = partial(path_figures.trajectories_figure, scenario, first, own)
+            draw = partial(path_figures.trajectories_figure, scenario, first)
             yield f"trajectories-{scenario.name}", draw

@@ -11,7 +11,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from .. import policies
 from .evaluation import Episodes, starts_of
 from .playing import Played, by_scenario
-from .statistics import best_policy, clean_difference
+from .statistics import best_policy, collision_free_difference
 
 _MOST_NAMED = 4
 """Maximum number of tied policies named in the summary."""
@@ -76,7 +76,7 @@ def _tied(best: str, competing: dict[str, Episodes]) -> tuple[str, ...]:
     """Policies whose paired interval of the difference from the best contains 0."""
     found = []
     for name in (name for name in competing if name != best):
-        difference, (low, high) = clean_difference(competing[name], competing[best])
+        difference, (low, high) = collision_free_difference(competing[name], competing[best])
         if difference == 0 or low <= 0 <= high:  # no interval for one episode
             found.append(name)
     return tuple(found)

@@ -112,8 +112,8 @@ def summarise(scenario: Scenario, policy: str, episodes: Episodes) -> dict[str, 
         "episodes": len(episodes.success),
         "success": episodes.success.mean(),
         **_ends("success", fraction_interval(episodes.success)),
-        "clean_success": episodes.clean.mean(),
-        **_ends("clean", fraction_interval(episodes.clean)),
+        "collision_free_success": episodes.clean.mean(),
+        **_ends("collision_free", fraction_interval(episodes.clean)),
         "median_time": median,
         **_ends("time", times),
         "time_over_bound": np.fmax.reduce(episodes.time / episodes.time_bound),
@@ -135,7 +135,7 @@ def best_policy(played: Mapping[str, Episodes]) -> str:
     return max(played, key=lambda name: (played[name].good.mean(), -np.median(played[name].time)))
 
 
-def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
+def collision_free_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
     """Paired difference of collision-free success and its 95 % interval; NaN without contacts."""
     difference = own.clean.astype(float) - other.clean
     return float(difference.mean()), paired_interval(difference, -1.0, 1.0)
@@ -153,15 +153,15 @@ def compare_pairs(
     costs = {name: np.where(own.good, own.time, np.inf) for name, own in played.items()}
     rows = []
     for name in (name for name in played if name != against):
-        difference, interval = clean_difference(played[name], played[against])
+        difference, interval = collision_free_difference(played[name], played[against])
         better = (costs[name] < costs[against]) + 0.5 * (costs[name] == costs[against])
         rows.append(
             {
                 "scenario": scenario,
                 "policy": name,
                 "against": against,
-                "clean_difference": difference,
-                **_ends("clean_difference", interval),
+                "collision_free_difference": difference,
+                **_ends("collision_free_difference", interval),
                 "probability_of_improvement": better.mean(),
                 **_ends("improvement", paired_interval(better, 0.0, 1.0)),
             }

@@ -10,9 +10,10 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from rendezvous_env.checks import counted
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..console import Console, counted
+from ..console import Console
 from ..results import grouped
 from .ranking import NONE_MET, ONE_START, Ranking
 from .statistics import rounding_of_clearance, rounding_of_v
@@ -34,14 +35,14 @@ def _empty(*columns: str, **options: Any) -> Table:
 
 def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Table:
     """Table of the rows of results.csv; scenarios by name provide the time limits."""
-    columns = ("policy", "met %", "cleanly % [95 %]", "median s [95 %]", "T/bound", "path m")
+    columns = ("policy", "met %", "collision-free % [95 %]", "median s [95 %]", "T/bound", "path m")
     table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
     for column in table.columns:
         column.no_wrap = True
     for name, own in grouped(rows, "scenario").items():
         first, scenario = own[0], scenarios[name]
         limit, rounding = scenario.max_steps * scenario.tau, rounding_of_v(scenario)
-        starts = "one start" if first["episodes"] == 1 else f"{first['episodes']} starts"
+        starts = counted(first["episodes"], "start")
         table.add_row(f"{name}, {starts}", style="bold")
         for row in own:
             times = (_time(row[name], limit) for name in ("median_time", "time_low", "time_high"))
@@ -49,7 +50,7 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
             table.add_row(
                 f"  {row['policy']}",
                 f"{100 * row['success']:.0f}",
-                _percent(row, "clean_success", "clean"),
+                _percent(row, "collision_free_success", "collision_free"),
                 f"{median} [{low}, {high}]" if row["time_low"] < limit else median,
                 number(row["time_over_bound"], ".2g"),
                 _metres(row["path_length"], 1),
@@ -100,15 +101,17 @@ def paired_table(rows: Sequence[Row]) -> Table:
     for name, own in grouped(rows, "scenario").items():
         table.add_row(name, style="bold")
         for row in own:
-            points = _percent(row, "clean_difference", "clean_difference", "+z.1f")
+            points = _percent(
+                row, "collision_free_difference", "collision_free_difference", "+z.1f"
+            )
             better = _percent(row, "probability_of_improvement", "improvement")
             table.add_row(f"  {row['policy']}", points, better)
     return table
 
 
 def ceiling_table(rows: Sequence[Row]) -> Table:
-    """Table of the rows of ceiling.csv."""
-    columns = ("planner cleanly %", "cleanly %", "met %", "mean run cleanly %", "never cleanly")
+    """Table of the rows of ceiling.csv: collision-free success, of all runs also success, %."""
+    columns = ("planner", "any run", "any run met", "mean run", "never")
     title = "What can be reached: by a planner, and by law (4), the best of its randomised runs"
     table = _empty("scenario", "runs", *columns, title=title)
     for row in rows:
@@ -177,14 +180,14 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):
         yield (
             f"{', '.join(references)}: reference, knows the map and all positions; what it passes "
-            "cleanly is possible"
+            "without contact is possible"
         )
     for reason in (ONE_START, NONE_MET):
         if found := [one.scenario for one in rankings if one.undecided == reason]:
             yield f"{', '.join(found)}: {reason}"
     through = [one.scenario for one in rankings if np.isnan(list(one.share.values())).any()]
     if through:
-        yield f"– in {', '.join(through)}: robots pass through obstacles, nothing is clean or not"
+        yield f"– in {', '.join(through)}: robots pass through obstacles; contacts do not count"
 
 
 def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console: Console) -> None:
@@ -197,8 +200,10 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
         for policy, found in grouped(own, "policy").items():
             cells = []
             for row in found:
-                counts = not math.isnan(row["clean_success"])
-                share = percent(row["clean_success" if counts else "success"], row["episodes"])
+                counts = not math.isnan(row["collision_free_success"])
+                share = percent(
+                    row["collision_free_success" if counts else "success"], row["episodes"]
+                )
                 cells.append(f"{share}, {_time(row['median_time'], limit)}")
             table.add_row(policy, *cells)
         console.print(table)

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.checks import counted
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..console import counted
 from ..results import grouped
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
@@ -118,7 +118,9 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         hollow: Any = {"shift": -0.17, "markerfacecolor": "white"}
         _intervals(axes, panel, ("success", "success"), 100.0, own, **hollow)
-        _intervals(axes, panel, ("clean_success", "clean"), 100.0, own, shift=0.17)
+        _intervals(
+            axes, panel, ("collision_free_success", "collision_free"), 100.0, own, shift=0.17
+        )
         axes.set_xlim(-4, 104)
         axes.set_xticks(range(0, 101, 25))
 
@@ -244,7 +246,7 @@ def sweep_figure(
     for policy, own in found.items():
         own.sort(key=lambda row: numbers[row["scenario"]])
         x = [numbers[row["scenario"]] for row in own]
-        shares = 100.0 * columns_of(own, "clean_success", "clean")
+        shares = 100.0 * columns_of(own, "collision_free_success", "collision_free")
         draw_policy(axes, policy, x, shares, own_of_all)
     places = sorted(numbers.values())
     if min(np.diff(places)) < _CROWDED * (places[-1] - places[0]):
@@ -312,8 +314,8 @@ def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
     figure = new_figure(COLUMN, 4.2 + LINE * math.ceil(len(found) / LEGEND_COLUMNS))
     above, below = figure.subplots(2, 1, sharex=True)
     limit = sweep.base.max_steps * sweep.base.tau
-    counts = not np.isnan([row["clean_success"] for row in rows]).any()
-    names = ("clean_success", "clean") if counts else ("success", "success")
+    counts = not np.isnan([row["collision_free_success"] for row in rows]).any()
+    names = ("collision_free_success", "collision_free") if counts else ("success", "success")
     for policy, own in found.items():
         x = np.arange(len(own))
         draw_policy(above, policy, x, 100.0 * columns_of(own, *names), own_of_all)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from .figures import (
     ORANGE,
     ROBOT_COLOURS,
     VERMILLION,
-    policy_colour,
     shown_name,
 )
 from .style import COLUMN, PAGE, SMALL, new_figure, styled
@@ -56,13 +55,8 @@ _LATE = 0.7
 
 
 @styled
-def trajectories_figure(
-    scenario: Scenario, recordings: Mapping[str, Recording], own: Sequence[str] = ()
-) -> Figure:
-    """Paths of every policy from one initial condition of a planar scenario, one panel each.
-
-    ``own`` is as in ``figures.policy_colour``.
-    """
+def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording]) -> Figure:
+    """Paths of every policy from one initial condition of a planar scenario, one panel each."""
     columns = panel_columns(len(recordings))
     rows = math.ceil(len(recordings) / columns)
     width = COLUMN if columns < 3 else PAGE
@@ -81,8 +75,7 @@ def trajectories_figure(
         end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
         contacts = int(recording["contacts"][-1].sum())
         touched = f"\n{in_contact(contacts)}" if contacts else ""
-        colour = policy_colour(name, own)
-        axes.set_title(f"{shown_name(name)}\n{end}{touched}", fontsize=SMALL, color=colour)
+        axes.set_title(f"{shown_name(name)}\n{end}{touched}", fontsize=SMALL)
         axes.tick_params(length=2, labelleft=column == 0)
         axes.tick_params(labelbottom=number + columns >= len(recordings))
     wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))

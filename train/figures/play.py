@@ -6,6 +6,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
+from rendezvous_env.checks import counted
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
@@ -47,7 +48,7 @@ def run(config: Config) -> int:
     policy = policies.tried(name, scenario)
     console = Console()
     made = _play(config, Simulator(scenario), name, policy, console)
-    console.print(f"{scenario.name}, {name}: {made} steps")
+    console.print(f"{scenario.name}, {name}: {counted(made, 'step')}")
     return 0
 
 

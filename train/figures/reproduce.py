@@ -16,13 +16,14 @@ import numpy as np
 from tyro.conf import Positional
 
 from rendezvous_env import baselines
+from rendezvous_env.checks import counted
 from rendezvous_env.safety.theorems.certificate import certificate
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import Bounds, Flags, check_installed, check_unused
-from ..console import Console, counted
+from ..console import Console
 from ..recording import Recording
 from . import bounds, path_figures, style
 from .figures import BLUE, VERMILLION
@@ -171,7 +172,8 @@ def _tank(config: Config) -> int:
     for row in rows:
         console.print(
             f"B = {row['budget']:g} m²/s, ε = {row['min_alignment']:g}: "
-            f"{row['clean_success']:.1%} without a contact; theorem D: {row['bound']:.4g} s"
+            f"{row['collision_free_success']:.1%} without a contact; theorem D: "
+            f"{row['bound']:.4g} s"
         )
     console.print(f"picture and data: {path}, .pdf and .csv")
     return 0
@@ -189,7 +191,7 @@ def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
         yield {
             **options,
             "episodes": episodes,
-            "clean_success": float((found.success & ~touched).mean()),
+            "collision_free_success": float((found.success & ~touched).mean()),
             "success": float(found.success.mean()),
             "contact": float(touched.mean()),
             "bound": certificate(free, margin, by="tank", budget=budget).time_bound,
@@ -205,7 +207,7 @@ def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
         line = [row for row in rows if row["budget"] == budget]
         margins = [row["min_alignment"] for row in line]
         style_of = {"marker": "o", "color": colour, "label": f"B = {budget:g} m²/s"}
-        left.plot(margins, [100 * row["clean_success"] for row in line], **style_of)
+        left.plot(margins, [100 * row["collision_free_success"] for row in line], **style_of)
         right.plot(margins, [row["bound"] for row in line], **style_of)
     starts = rows[0]["episodes"]
     left.set(ylim=(0, 103), ylabel="collision-free success (%)")

@@ -11,13 +11,14 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from tyro.conf import arg
 
+from rendezvous_env.checks import counted
 from rendezvous_env.scenario import scenarios
 
 from .. import results
 from ..checks import Bounds, UserError
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
-from ..console import Console, counted
+from ..console import Console
 from ..learn.settings import MAX_SEED
 from ..policies import resolve_scenario
 from ..resume import RunCheckpoint, program

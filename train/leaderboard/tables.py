@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from rendezvous_env.checks import counted
+
 from ..compare import statistics
 from ..figures import style
 from ..results import grouped
@@ -117,9 +119,9 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
     told = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     minutes = sum(card["learning_s"] + card["playing_s"] for card in cards) / 60.0
     return (
-        f"# Leaderboard\n\n{fields}; {seeds} seeds; {most:,} decisions of robots for each learner; "
-        f"{cards[0]['starts']} held-out starts a run; {minutes:.0f} minutes in all, "
-        "run after run.\n\n"
+        f"# Leaderboard\n\n{fields}; {counted(seeds, 'seed')}; {most:,} decisions of robots for "
+        f"each learner; {counted(cards[0]['starts'], 'held-out initial condition')} a run; "
+        f"{minutes:.0f} minutes in all, run after run.\n\n"
         f"{told}\n\nInterquartile means over runs with 95 % intervals, a bootstrap over seeds "
         "stratified by fields; what learns nothing is one run a field. V rose: robot steps "
         "in which V rose between merges with nobody of the team in contact, which theorem C rules "

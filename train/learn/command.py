@@ -6,11 +6,13 @@ from pathlib import Path
 
 from rendezvous_env.baselines.learned import shipped
 
+from rendezvous_env.checks import counted
+
 from .. import policies, results
 from ..checks import UserError, check_unused, format_argument
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
-from ..console import Console, counted
+from ..console import Console
 from ..tasks import Workers, parallel_map
 from . import ppo
 from .settings import CONFIG, check, read_config, same_run

@@ -10,13 +10,16 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from rendezvous_env.checks import counted
+from rendezvous_env.deprecation import RenamedKeys
+
 from .. import results
 from ..checks import UserError
 
 METRICS = (
-    "step", "update", "stage", "episodes", "success", "clean_success", "median_time", "return",
-    "alignment", "policy_loss", "value_loss", "explained_variance", "approx_kl", "clip_fraction",
-    "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
+    "step", "update", "stage", "episodes", "success", "collision_free_success", "median_time",
+    "return", "alignment", "policy_loss", "value_loss", "explained_variance", "approx_kl",
+    "clip_fraction", "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
 )  # fmt: skip
 """Columns of metrics.csv, one row per update: fractions in 0–1, times in s; empty if undefined."""
 EVALUATION = ("step", *results.RESULT_COLUMNS)
@@ -38,12 +41,14 @@ class Table:
             header, *rows = list(csv.reader(whole)) or [self._columns]
         except (OSError, ValueError, csv.Error) as error:
             raise self._damaged(f"not readable ({error})") from error
-        if header != self._columns:
+        if results.current_columns(header) != self._columns:
             raise self._damaged(f"line 1 is not {','.join(columns)}")
         self._kept = []
         for number, row in enumerate(rows, start=2):
             if len(row) != len(columns):
-                raise self._damaged(f"line {number} has {len(row)} cells, not {len(columns)}")
+                raise self._damaged(
+                    f"line {number} has {counted(len(row), 'cell')}, not {len(columns)}"
+                )
             cells = dict(zip(columns, row, strict=True))
             if not re.fullmatch(r"\d{1,19}", cells["step"], re.ASCII):
                 said = f"line {number}: step is {cells['step']!r}; it must be an integer"
@@ -103,7 +108,7 @@ def score(rows: tuple[Row, ...]) -> float:
     """Mean collision-free success over the scenarios of an evaluation, 0–1; plain success where
     robots pass through obstacles.
     """
-    shares = ((row["clean_success"], row["success"]) for row in rows)
+    shares = ((row["collision_free_success"], row["success"]) for row in rows)
     return fmean(success if math.isnan(clean) else clean for clean, success in shares)
 
 
@@ -116,4 +121,9 @@ def read_evaluations(path: Path, step: int) -> tuple[Row, ...]:
         return int(cell) if name in ("step", "episodes") else float(cell or "nan")
 
     read = [{name: value_of(name, row[name]) for name in row} for row in results.read_csv(path)]
-    return tuple(row for row in read if row["step"] <= step)
+    return tuple(with_former_names(row) for row in read if row["step"] <= step)
+
+
+def with_former_names(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Row whose columns also have their former names, with a DeprecationWarning."""
+    return RenamedKeys(row, results.FORMER_COLUMNS)

@@ -19,6 +19,7 @@ from rich.progress import Progress
 from stable_baselines3.common.logger import Logger
 
 from rendezvous_env.adapters.sb3_logging import episode_numbers
+from rendezvous_env.checks import counted
 from rendezvous_env.engine.threads import available_cores
 
 from .. import interrupts, results
@@ -31,7 +32,15 @@ from ..policies import resolve_scenario
 from ..resume import claimed
 from . import checkpoint
 from .checkpoint import STATE_FILES, flatten, tensors, unflatten
-from .log import EVALUATION, METRICS, OnUpdate, Result, Table, read_evaluations
+from .log import (
+    EVALUATION,
+    METRICS,
+    OnUpdate,
+    Result,
+    Table,
+    read_evaluations,
+    with_former_names,
+)
 from .recurrent import learner_of
 from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
 from .teams import TimedRobotVecEnv, make_environments
@@ -319,12 +328,14 @@ def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | 
                     evaluation = training.evaluate()
                     for result in evaluation:
                         console.print(_evaluation_line(result), style="bold")
-                kept, metrics, saved = training.snapshot(), row, False
+                kept, metrics, saved = training.snapshot(), with_former_names(row), False
                 if last or _crosses(config.checkpoint_every, before, step):
                     place, saved = training.save(kept), True
                     console.print(f"{_line(row)} · {place.name}")
                 if on_update is not None:
-                    stopped = on_update(row["update"], row | {"evaluation": evaluation}) is True
+                    told = with_former_names(row)
+                    told["evaluation"] = [with_former_names(one) for one in evaluation]
+                    stopped = on_update(row["update"], told) is True
     except KeyboardInterrupt as error:
         training.save(kept)  # rows of later steps are cut off when the run goes on
         step = kept[0]["step"]
@@ -350,17 +361,18 @@ def _line(row: Mapping[str, Any]) -> str:
     if not row["episodes"]:
         return f"step {row['step'] / 1e6:.2f} M · no episode has ended in this update"
     return (
-        f"step {row['step'] / 1e6:.2f} M · met {100 * row['success']:.0f} % · cleanly "
-        f"{100 * row['clean_success']:.0f} % · {number(row['median_time'], '.1f')} s · alignment "
-        f"{row['alignment']:.2f} · {row['steps_per_s']:.0f} steps/s"
+        f"step {row['step'] / 1e6:.2f} M · met {100 * row['success']:.0f} % · collision-free "
+        f"{100 * row['collision_free_success']:.0f} % · {number(row['median_time'], '.1f')} s · "
+        f"alignment {row['alignment']:.2f} · {row['steps_per_s']:.0f} steps/s"
     )
 
 
 def _evaluation_line(row: Mapping[str, Any]) -> str:
-    names = ("clean_success", "clean_low", "clean_high")
+    names = ("collision_free_success", "collision_free_low", "collision_free_high")
     clean, low, high = (number(100 * row[name], ".1f") for name in names)
     return (
-        f"{row['scenario']} met {100 * row['success']:.1f} % · cleanly {clean} [{low}, {high}] % · "
-        f"median {row['median_time']:.2f} s · alignment ≥ {number(row['min_alignment'], '.3f')} · "
-        f"{row['episodes']} held-out starts"
+        f"{row['scenario']} met {100 * row['success']:.1f} % · collision-free {clean} "
+        f"[{low}, {high}] % · median {row['median_time']:.2f} s · "
+        f"alignment ≥ {number(row['min_alignment'], '.3f')} · "
+        f"{counted(row['episodes'], 'held-out initial condition')}"
     )

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from rendezvous_env.checks import counted
 from rendezvous_env.scenario import scenarios
 
 from .. import results
 from ..checks import UserError, user_error
-from ..console import counted
 from ..leaderboard import cards, tables
 from ..leaderboard.replays import path_of, read_replay
 from ..learn.settings import EVALUATION_SEEDS
@@ -54,7 +54,11 @@ def page(folder: Path) -> str:
         "rankings": [],
         "leaders": [one["replay"] for one in played if one["replay"]],
         "results": [
-            {"scenario": one["scenario"], "policy": one["replay"], "clean_success": one["clean"]}
+            {
+                "scenario": one["scenario"],
+                "policy": one["replay"],
+                "collision_free_success": one["clean"],
+            }
             for one in cells
         ],
     }
@@ -102,7 +106,7 @@ def _about(found: list[cards.Card], replays: int) -> str:
     lines = {
         "Fields": ", ".join(fields.values()),
         "Budget": f"{' or '.join(map(str, learned)) or 'no'} decisions of robots for each learner, "
-        f"{found[0]['starts']} held-out starts a run",
+        f"{counted(found[0]['starts'], 'held-out initial condition')} a run",
         "Seeds": ", ".join(map(str, sorted({card["seed"] for card in found}))),
         "Versions": ", ".join(versions),
         "Replays": f"of {replays} of {counted(len(found), 'run')}: the first held-out start, the "

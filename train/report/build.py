@@ -10,12 +10,14 @@ from string import Template
 import numpy as np
 from tyro.conf import Positional
 
+from rendezvous_env.checks import counted
+
 from ..checks import Flags, UserError, user_error
 from ..compare.evaluation import Episodes
 from ..compare.playing import Played
 from ..compare.ranking import Ranking, answer, leaders, rank
 from ..compare.settings import Job
-from ..console import Console, counted
+from ..console import Console
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import write_text
@@ -137,8 +139,9 @@ def _counts(found: Comparison) -> str:
     if single := [name for name, own in starts if own == 1 < count]:
         said += f"; one of {', '.join(single)}, whose start is given"
     said += "".join(f"; {own} of {name}" for name, own in starts if 1 < own < count)
-    many = "policy" if len(policies) == 1 else "policies"
-    return f"{counted(len(found.scenarios), 'scenario')}, {len(policies)} {many}, {said}"
+    return (
+        f"{counted(len(found.scenarios), 'scenario')}, {counted(len(policies), 'policy')}, {said}"
+    )
 
 
 def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:

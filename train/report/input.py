@@ -79,7 +79,7 @@ def _read_run(folder: Path) -> dict[str, Any]:
         version = run["format_version"]
     except (ValueError, KeyError, TypeError) as error:
         raise half_written(path, f"not readable ({type(error).__name__}: {error})") from error
-    if version != results.FORMAT_VERSION:
+    if version not in results.READABLE_VERSIONS:
         versions = run.get("versions")
         writer = versions.get("rendezvous-env") if isinstance(versions, dict) else None
         raise UserError(

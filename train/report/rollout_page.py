@@ -51,7 +51,7 @@ def page(trajectory: Trajectory, envs: int = 8) -> str:
         f"{terms(lines)}</section>"
     )
     result = {"scenario": scenario.name, "policy": policy, "episodes": str(count)}
-    share = {"success": str(float(trajectory.success.mean())), "clean_success": ""}
+    share = {"success": str(float(trajectory.success.mean())), "collision_free_success": ""}
     data = player_data(shown, {scenario.name: scenario}) | {
         "run": {},
         "rankings": [],

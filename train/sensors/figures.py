@@ -11,6 +11,7 @@ import numpy as np
 from rendezvous_env.calibration import SensorFit
 from rendezvous_env.calibration.detection import Binned, binned, distance_edges, share_in_view
 from rendezvous_env.calibration.measures import inner_angle
+from rendezvous_env.checks import counted
 
 from ..figures import style
 from .replay import Replayed
@@ -38,7 +39,7 @@ def fit_figure(fit: SensorFit) -> Figure:
     for draw, place in zip(_PANELS, axes.ravel(), strict=True):
         draw(place, fit)
     found = fit.estimates
-    figure.suptitle(f"{found.log.source}: {len(found.errors.error)} bearings of robots")
+    figure.suptitle(f"{found.log.source}: {counted(len(found.errors.error), 'bearing')} of robots")
     return figure
 
 

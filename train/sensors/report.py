@@ -11,9 +11,10 @@ from rich.table import Table
 from rendezvous_env.calibration import SensorFit, SensorLog
 from rendezvous_env.calibration.blocks import CONFIDENCE
 from rendezvous_env.calibration.measures import measures, unexpressed
+from rendezvous_env.checks import counted
 from rendezvous_env.sensors.sensing import Sensing
 
-from ..console import Console, counted
+from ..console import Console
 from ..results import write_text
 
 FORMAT = 1

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rendezvous_env.calibration import LogError, SensorLog, from_tables
 from rendezvous_env.calibration.tables import BEARING_COLUMNS, POSE_COLUMNS
+from rendezvous_env.checks import counted
 
 from ..checks import check_installed
 
@@ -80,8 +81,8 @@ def _read_csv(path: Path) -> Columns:
     for (number, line), cells in zip(lines, parsed, strict=True):
         if len(cells) != len(names):
             raise LogError(
-                f"{path}, line {number}: {line[:60]!r} has {len(cells)} cells, the header has "
-                f"{len(names)}; correct or remove it"
+                f"{path}, line {number}: {line[:60]!r} has {counted(len(cells), 'cell')}, the "
+                f"header has {len(names)}; correct or remove it"
             )
     columns = dict(zip(names, zip(*parsed[1:], strict=True), strict=True))
     numbers = [number for number, _ in lines[1:]]

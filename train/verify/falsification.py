@@ -66,7 +66,7 @@ class Violation:
     def __str__(self) -> str:
         return (
             f"{self.number} is {self.found:.6g}, promised {self.promised:.6g}, in step {self.step} "
-            f"of team {self.team}: {self.words}"
+            f"of environment {self.team}: {self.words}"
         )
 
 

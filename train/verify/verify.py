@@ -15,9 +15,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
+from rendezvous_env.checks import counted
+
 from .. import policies
 from ..checks import Bounds, check_unused, unknown_name
-from ..console import Console, counted
+from ..console import Console
 from ..results import write_csv
 from ..resume import RunCheckpoint, program
 from ..tasks import Workers, parallel_map
@@ -53,7 +55,7 @@ class Config(Workers):
     """
 
     trials: Annotated[int, Bounds(1, 10**8)] = 1000
-    """Teams for each claim, or with --random-scenarios or --policy scenarios."""
+    """Environments for each claim; initial conditions with --random-scenarios or --policy."""
     seed: Annotated[int, Bounds(0)] = 0
     """Seed of the random environments."""
     out: Path = Path("out/verify")
@@ -165,12 +167,12 @@ def _run_random_scenarios(config: Config, console: Console) -> int:
     path = config.out / "any.csv"
     tallies, rows = _finish(config, path, {}, _tasks_of_any(config), _rows_of_theorems, console)
     total = tallies["scenarios"]
-    title = f"Certificates of {counted(total.trials, 'random scenario')}, tried"
+    title = f"Certificates of {_searched(total)}"
     console.print(table_of(title, rows))
     for one in _write_found(config, total):
         console.print(one, soft_wrap=True)
-    steps = f"{counted(total.steps, 'step')} of {TEAMS} teams"
-    return _conclude(total, f"{counted(total.violations, 'violation')}, {steps}", path, console)
+    found = counted(total.violations, "violation")
+    return _conclude(total, f"{found}, {_steps_of(total)}", path, console)
 
 
 def _rows_of_theorems(tallies: Mapping[str, Tally]) -> list[dict[str, Any]]:
@@ -231,7 +233,7 @@ def _run_search(config: Config, policy: str, console: Console) -> int:
     path = config.out / "policy.csv"
     tallies, rows = _finish(config, path, source, tasks, rows_of, console)
     tally = tallies["scenarios"]
-    console.print(table_of(f"{tally.trials} random scenarios searched under {policy}", rows))
+    console.print(table_of(f"{_searched(tally)} under {policy}", rows))
     for number, trial, played in policy_search.first_of_each(tally):
         small, played = shrink(trial, played)
         file = write(config.out, f"policy-{config.seed}-{number}", small, played)
@@ -240,8 +242,18 @@ def _run_search(config: Config, policy: str, console: Console) -> int:
             f"{file}; to see it: rendezvous render --scenario {file} --policy {policy}",
             soft_wrap=True,
         )
-    steps = f"{tally.steps} steps of {TEAMS} environments"
-    return _conclude(tally, f"{tally.violations} counterexamples, {steps}", path, console)
+    found = counted(tally.violations, "counterexample")
+    return _conclude(tally, f"{found}, {_steps_of(tally)}", path, console)
+
+
+def _searched(tally: Tally) -> str:
+    """Numbers of initial conditions and scenarios that a search has played, as text."""
+    starts = counted(tally.trials, "initial condition")
+    return f"{starts} of {counted(tally.trials // STARTS, 'random scenario')}"
+
+
+def _steps_of(tally: Tally) -> str:
+    return f"{counted(tally.steps, 'step')} of {TEAMS} environments"
 
 
 def look(task: Task) -> Tally:

@@ -123,3 +123,22 @@ def _conclude(width, duration, max_steps, reward_weights, environment):
         environment[FINAL * lanes + lane] = now
         environment[BEFORE_MERGE * lanes + lane] = first if merged else now
         environment[AFTER_MERGE * lanes + lane] = last if merged else now
+
+
+@kernel
+def add_step(status, resting, step, totals, first, stop, is_last):
+    """Add rewards (B,) and (B, n), and contacts (B, n), of a step to those of several.
+
+    It covers first ≤ b < stop. Unless the step ``is_last``, its contacts are cleared, and
+    environments that have ended are marked as ``resting``, (B,).
+    """
+    (rewards, robot_rewards, contact), (earned, robots_earned, touched) = step, totals
+    for b in range(first, stop):
+        earned[b] += rewards[b]
+        for i in range(contact.shape[1]):
+            robots_earned[b, i] += robot_rewards[b, i]
+            touched[b, i] |= contact[b, i]
+        if not is_last:
+            resting[b] = status[b] != RUNNING
+            for i in range(contact.shape[1]):
+                contact[b, i] = False

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...checks import raise_invalid, short_repr
+from ...checks import counted, raise_invalid, short_repr
 from .grid import MAX_CELLS, Area, Pose, area_of
 
 TERRAIN = ".GS@OTW"
@@ -39,11 +39,11 @@ def read(path: Path, cell_size: float, passable: str) -> Area:
     height, width = _header(path, lines)
     rows = lines[4 : 4 + height]
     if len(rows) < height:
-        raise ValueError(f"{path}: has {len(rows)} rows of cells; height says {height}")
+        raise ValueError(f"{path}: has {counted(len(rows), 'row')} of cells; height says {height}")
     for k, row in enumerate(rows):
         place = f"{path}, line {5 + k}"
         if len(row) != width:
-            raise ValueError(f"{place}: has {len(row)} cells; width says {width}")
+            raise ValueError(f"{place}: has {counted(len(row), 'cell')}; width says {width}")
         if strange := [mark for mark in row if mark not in TERRAIN]:
             raise ValueError(f"{place}: {strange[0]!r} is no terrain; known are {TERRAIN!r}")
     cells = np.array([list(row) for row in rows])

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import is_sequence, number, raise_invalid, to_float
+from ...checks import counted, is_sequence, number, raise_invalid, to_float
 from ...limits import MAX_OBSTACLES
 from ..polygon import Polygon
 from ..shape import LEAST_THICKNESS
@@ -50,7 +50,7 @@ class ObstacleMap(Sequence[Polygon]):
         return len(self.shapes)
 
     def __repr__(self) -> str:
-        return f"<ObstacleMap of {self.source}, {len(self)} shapes>"
+        return f"<ObstacleMap of {self.source}, {counted(len(self), 'shape')}>"
 
     @property
     def spawn_size(self) -> float:

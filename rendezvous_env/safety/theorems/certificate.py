@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ...checks import choice, raise_invalid, to_float
+from ...checks import choice, known_arguments, raise_invalid, to_float
 from ...deprecation import renamed_attribute
 from ...field_docs import lists_fields
+from ...field_repr import repr_of_changes
 from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
@@ -86,6 +87,8 @@ class Certificate:
     policy: str = ""
     """Name of the certified policy; empty if none was given."""
 
+    __repr__ = repr_of_changes
+
     @property
     def promises(self) -> dict[str, float]:
         """Every guaranteed discrete-time bound by name.
@@ -135,6 +138,7 @@ class Certificate:
         )
 
 
+@known_arguments
 def certificate(
     scenario: Scenario | str | os.PathLike[str],
     min_alignment: float = 1.0,

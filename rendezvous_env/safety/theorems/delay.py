@@ -29,6 +29,7 @@ Proof: docs/proofs.md, E1 and E3.
 
 import math
 
+from ...checks import counted
 from ...scenario.scenario import Scenario
 from . import assumptions as given
 from . import constants as known
@@ -55,13 +56,13 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
     slowest = min(1.0, scenario.min_speed_limit / degree) * known.min_bearing_square(scenario)
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
-    words = f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late"
+    words = f"theorem E1: law (1) meets in finite time on bearings {counted(late, 'step')} late"
     return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
-def own_clocks(scenario: Scenario, asked: Asked) -> str:
+def asynchronous(scenario: Scenario, asked: Asked) -> str:
     """Some robots skip steps."""
-    synchronous = "none: theorem E3 is for robots with own clocks, and these are synchronous"
+    synchronous = "none: theorem E3 is for asynchronous activation; these robots are synchronous"
     return synchronous if scenario.activation.synchronous else ""
 
 
@@ -137,7 +138,7 @@ def drawn_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 _late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
 _LATE = *given.TEAM, _late, given.no_obstacles, small_delay, given.frames_stay
-_ACTED = own_clocks, *given.UNHINDERED, given.exact_bearings
+_ACTED = asynchronous, *given.UNHINDERED, given.exact_bearings
 _HELD = *_ACTED, given.frames_stay, bounded_wait, short_hold
 _STOPPED = *_ACTED, given.certified_or_scaled
 _WAITED, _DRAWN = (*_STOPPED, bounded_wait), (*_STOPPED, drawn_activation)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Any
 
-from ...checks import raise_invalid, short_repr
+from ...checks import raise_other_scenario, short_repr
 from ...scenario.scenario import Scenario
 from ..settings import MAX_TURN_RATE, bounded_error
 from .theorem import at_most
@@ -26,7 +27,7 @@ for them."""
 _POLICIES = {"heading": "baselines.HeadingPolicy", "tank": "baselines.TankPolicy"}
 """Policies that keep the same guarantee around a function of observations."""
 _NOT_OF_FILTERS = ("name", "on_merge", "reward", "costs", "time_limit")
-"""Fields of a scenario that change nothing of what a filter does."""
+"""Fields of a scenario that do not affect filters."""
 _TOLD = ("heading", "tank", "links")
 """Filters that have to be given the error of bearings."""
 
@@ -45,19 +46,17 @@ def guarantee_of(scenario: Scenario, policy: object) -> Guarantee | None:
         wanted = "a function of observations and time; baselines.make(name, scenario) makes one"
         raise TypeError(f"policy is {short_repr(policy)}; it must be {wanted}")
     own = getattr(policy, "scenario", None)
-    if isinstance(own, Scenario) and _filters_differ(own, scenario):
-        wanted = f"made for this scenario, {scenario.name!r}: filters follow from a scenario's own"
-        raise_invalid(
-            "policy", name_of(policy), f"{wanted} step and gains; it was made for {own.name!r}"
-        )
+    if isinstance(own, Scenario) and (differing := _differing_fields(own, scenario)):
+        raise_other_scenario(name_of(policy), own.name, scenario.name, differing)
     found = getattr(policy, "guarantee", None)
     return dict(found) if isinstance(found, Mapping) else None
 
 
-def _filters_differ(one: Scenario, other: Scenario) -> bool:
-    """True if filters of two scenarios may: what they depend on is not the same."""
-    ignored = {name: getattr(other, name) for name in _NOT_OF_FILTERS}
-    return one.replace(**ignored) != other
+def _differing_fields(one: Scenario, other: Scenario) -> dict[str, tuple[Any, Any]]:
+    """Values of two scenarios in the fields that differ and on which filters depend."""
+    names = [field.name for field in fields(one) if field.name not in _NOT_OF_FILTERS]
+    values = {name: (getattr(one, name), getattr(other, name)) for name in names}
+    return {name: (own, here) for name, (own, here) in values.items() if own != here}
 
 
 def unmet(scenario: Scenario, guarantee: Guarantee) -> str:

@@ -17,7 +17,8 @@ def test_search_finds_policy(tmp_path, monkeypatch):
     )  # fmt: skip
     told = run("10_ray_tune.py", *small)
     said = re.search(
-        r"cleanly (\d+)% with min_alignment 0\.\d+, budget [\d.]+, learning_rate [\de.-]+: (.+)\n",
+        r"collision-free (\d+)% with min_alignment 0\.\d+, budget [\d.]+, "
+        r"learning_rate [\de.-]+: (.+)\n",
         told,
     )
     assert said, told

@@ -25,7 +25,7 @@ def settings(description: str | None, **defaults: int) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def clean_success(policy: Policy, starts: int) -> float:
+def collision_free_success(policy: Policy, starts: int) -> float:
     """Fraction of held-out initial conditions with collision-free rendezvous."""
     env, clean = rv.training_env(SCENARIO), 0
     for seed in range(10_000, 10_000 + starts):
@@ -54,8 +54,8 @@ def measure(
     began, count = time.perf_counter(), 0
     while (passed := time.perf_counter() - began) < 2.0:
         count += steps()
-    before = clean_success(policy, starts)
+    before = collision_free_success(policy, starts)
     began = time.perf_counter()
     found = {"frames_per_second": count / passed, "training_frames": train()}
     found |= {"training_seconds": time.perf_counter() - began, "before": before}
-    print(json.dumps(found | {"after": clean_success(policy, starts)}))
+    print(json.dumps(found | {"after": collision_free_success(policy, starts)}))

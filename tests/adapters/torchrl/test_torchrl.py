@@ -154,7 +154,7 @@ def test_invalid_actions_are_rejected():
     now = env.reset()
     bad = torch.zeros(env.full_action_spec[ACTION].shape)
     bad[1, 2] = torch.nan
-    with pytest.raises(ValueError, match=r"robot_2 in team 1"):
+    with pytest.raises(ValueError, match=r"robot_2 in environment 1"):
         env.step(now.clone().set(ACTION, bad))
     desired = torch.zeros(env.full_action_spec[ACTION].shape, requires_grad=True)
     assert not env.step(now.clone().set(ACTION, desired * 2))["next", SEEN].requires_grad

@@ -13,7 +13,7 @@ SMALL = ("--updates", "14", "--teams", "64", "--held-out", "50")
 
 def judged(told):
     """Fractions of held-out teams with (collision-free) rendezvous, before and after."""
-    found = re.findall(r"^(.+): (\S+)% met, (\S+)% cleanly, median \S+ s$", told, re.M)
+    found = re.findall(r"^(.+): (\S+)% met, (\S+)% collision-free, median \S+ s$", told, re.M)
     assert [moment for moment, *_ in found] == ["before", "after"]
     return [tuple(map(float, shares)) for _, *shares in found]
 
@@ -22,7 +22,7 @@ def judged(told):
 def test_torchrl_example_learns():
     (before, _), after = judged(told := run("06_torchrl_ppo.py", *SMALL))
     assert after[0] > max(before, 90.0)
-    (played,) = re.findall(r"^as a policy: (\S+)% met, (\S+)% cleanly$", told, re.M)
+    (played,) = re.findall(r"^as a policy: (\S+)% met, (\S+)% collision-free$", told, re.M)
     assert tuple(map(float, played)) == pytest.approx(after, abs=2.0)  # of the same 50 starts
 
 

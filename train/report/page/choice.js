@@ -13,7 +13,7 @@ function quality({ outcome: { clean, success } }) {
 /** The same over all starts of a policy, from 0 to 1. */
 function shareOf({ scenario, policy }) {
   const row = DATA.results.find((one) => one.scenario === scenario && one.policy === policy);
-  return Number(row.clean_success === "" ? row.success : row.clean_success);
+  return Number(row.collision_free_success === "" ? row.success : row.collision_free_success);
 }
 
 /**

@@ -5,7 +5,7 @@ function seconds(cell, row) {
   return Number(cell) >= limit - 1e-9 ? `> ${short(String(limit))}` : fixed(cell, 2);
 }
 
-const CLEAN = { title: "collision-free %", value: "clean_success", range: ["clean_low", "clean_high"],
+const CLEAN = { title: "collision-free %", value: "collision_free_success", range: ["collision_free_low", "collision_free_high"],
   show: percent, bar: true, best: 1, key: true };
 const TIME = { title: "median time s", value: "median_time", range: ["time_low", "time_high"],
   show: seconds, best: -1, key: true };
@@ -34,8 +34,8 @@ const PAIRED_COLUMNS = [
   SCENARIO,
   POLICY,
   { title: "against", value: "against", word: true },
-  { title: "difference, clean %", value: "clean_difference", best: 1, key: true,
-    range: ["clean_difference_low", "clean_difference_high"], show: percent },
+  { title: "difference, collision-free %", value: "collision_free_difference", best: 1, key: true,
+    range: ["collision_free_difference_low", "collision_free_difference_high"], show: percent },
   { title: "better on a start, %", value: "probability_of_improvement", best: 1, key: true,
     range: ["improvement_low", "improvement_high"], show: percent, bar: true },
 ];
