@@ -81,7 +81,7 @@ def stream_keys(seed: Word, episode: Any, *purposes: int) -> list[Word]:
     def spread(values: Any) -> Array:
         return jnp.broadcast_to(values, shape)
 
-    def stir(key: Word, value: Word) -> tuple[Word, None]:
+    def stir(key: Word, value: Any) -> tuple[Word, None]:
         return mix(exclusive_or(key, value)), None
 
     begun = add(seed, word(_INCREMENT))

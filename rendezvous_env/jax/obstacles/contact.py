@@ -237,7 +237,7 @@ class Contact:
         each = self._shapes.normals(world, point, normal)
 
         def is_free(candidate: Any) -> Array:
-            """Whether velocities (*lanes), or (K, *lanes), enter no obstacle."""
+            """True where velocities (*lanes), or (K, *lanes), enter no obstacle."""
             rounding, axis = self._tolerances.into * norm_of(candidate), candidate[0].ndim - 1
             candidate = tuple(jnp.expand_dims(part, axis) for part in candidate)
             along = jnp.stack([_dot(candidate, normals) for normals in each])
