@@ -126,9 +126,7 @@ def test_gradients_of_contacts_equal_differences(name, mode, rj):
         ahead, here, behind = (value(given + k * step) for k in (1, 0, -1))
         found[part, axis] = (ahead - behind) / (2 * h)
         smooth &= np.abs(ahead - 2 * here + behind) < 1e-4 * h
-    np.testing.assert_allclose(
-        slopes[:, :dim, smooth], found[..., smooth], rtol=1e-4, atol=1e-4
-    )
+    np.testing.assert_allclose(slopes[:, :dim, smooth], found[..., smooth], rtol=1e-4, atol=1e-4)
     assert smooth.sum() > 20, "hardly a contact"
 
 

@@ -116,10 +116,10 @@ def test_gradients_through_contact_equal_differences(case, rj):
     if env.scenario.model.nonholonomic:
         begun = begun.replace(memory=jnp.asarray(np.arctan2(aims[:, 1:2], aims[:, :1])))
         aims = np.stack([np.ones(n), np.full(n, 0.3)], axis=1)
-    elif begun.memory.shape[1]:
-        aims = 3.0 * aims
     else:
         begun = begun.replace(frames=jnp.broadcast_to(jnp.eye(d).ravel(), (n, d * d)))
+        if begun.memory.shape[1]:
+            begun = begun.replace(memory=jnp.asarray(0.8 * aims))
     _, begun = env._look(begun)
     weights = jnp.asarray(np.random.default_rng(0).uniform(0.5, 1.0, (n, d)))
 
