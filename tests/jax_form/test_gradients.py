@@ -95,7 +95,6 @@ CONTACTS = {
     "stop": ("duo", {**AMONG, "obstacle_contact": "stop"}),
     "slide in space": ("duo", {**AMONG, "dim": 3, "obstacles": BALLS}),
     "unicycles": ("unicycle-6", AMONG),
-    "inertia": ("duo", {**AMONG, "robot_model": "double_integrator"}),
 }
 
 
@@ -118,8 +117,6 @@ def test_gradients_through_contact_equal_differences(case, rj):
         aims = np.stack([np.ones(n), np.full(n, 0.3)], axis=1)
     else:
         begun = begun.replace(frames=jnp.broadcast_to(jnp.eye(d).ravel(), (n, d * d)))
-        if begun.memory.shape[1]:
-            begun = begun.replace(memory=jnp.asarray(0.8 * aims))
     _, begun = env._look(begun)
     weights = jnp.asarray(np.random.default_rng(0).uniform(0.5, 1.0, (n, d)))
 
