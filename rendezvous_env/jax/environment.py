@@ -512,7 +512,8 @@ def make(
         **options: fields of the scenario to change, and settings of the filter.
 
     Raises:
-        NotImplementedError: naming a field that the JAX form does not cover.
+        NotImplementedError: naming a field that the JAX form does not cover. Contact of robots with
+            inertia is not differentiable.
         TypeError: for an unknown option, with the nearest known one.
         ValueError: for an invalid value.
     """
@@ -527,6 +528,9 @@ def make(
     mode = _autoreset_mode(autoreset_mode)
     if mode is AutoresetMode.NEXT_STEP:
         raise_not_covered("autoreset_mode", str(mode))
+    contact = resolved.observation_layout.obstacle_slots and resolved.obstacle_contact != "ignore"
+    if flag("differentiable", differentiable) and contact and resolved.model.keeps_velocity:
+        raise_not_covered("differentiable", "True with contact of robots with inertia")
     if num_envs is not None:
         check_int("num_envs", num_envs, 1, MAX_TEAMS)
     safety_filter = None
@@ -537,6 +541,6 @@ def make(
         safety_filter,
         num_envs,
         mode is AutoresetMode.SAME_STEP,
-        flag("differentiable", differentiable),
+        differentiable,
         flag("final_obs", final_obs),
     )

@@ -12,6 +12,11 @@ import rendezvous_env as rv
         ("obstacles", "clutter-32", {}),
         ("obstacles", "clutter-3d-32", {}),
         ("obstacle_slots", "clutter-4", {"obstacle_slots": 2, "obstacle_overflow": "nearest"}),
+        (
+            "differentiable",
+            "clutter-4",
+            {"differentiable": True, "robot_model": "double_integrator"},
+        ),
         ("graph", "tree-12", {}),
         ("graph", "random-10", {}),
         ("graph", "switching-8", {}),
