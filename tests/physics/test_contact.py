@@ -16,8 +16,8 @@ from rendezvous_env.obstacles.contact import (
 )
 from rendezvous_env.obstacles.disc import Disc, Sphere
 from rendezvous_env.obstacles.polygon import Polygon
-from rendezvous_env.robots.nonholonomic_3d import Nonholonomic3D
-from rendezvous_env.robots.unicycle import Unicycle
+from rendezvous_env.robots.nonholonomic_3d import Nonholonomic3D, body_frame_3d
+from rendezvous_env.robots.unicycle import Unicycle, body_frame_2d
 
 pytestmark = pytest.mark.kernels
 
@@ -40,10 +40,11 @@ def move_one_curved(start, inputs, scene, mode):
     speed, yaw, pitch, yaw_rate, pitch_rate, duration = map(float, inputs)
     if len(start) == 2:
         model = Unicycle(duration, abs(speed), abs(yaw_rate))
-        action, frame, memory = (speed, yaw_rate), (0.0,) * 4, (yaw,)
+        action, frame, memory = (speed, yaw_rate), body_frame_2d(yaw), (yaw,)
     else:
         model = Nonholonomic3D(duration, abs(speed), abs(yaw_rate), abs(pitch_rate))
-        action, frame, memory = (speed, yaw_rate, pitch_rate), (0.0,) * 9, (yaw, pitch)
+        action, memory = (speed, yaw_rate, pitch_rate), (yaw, pitch)
+        frame = body_frame_3d(yaw, pitch)
     way, normals = triple(arc(len(start), *inputs)), np.empty((2 * len(scene.kinds), 3))
     contact, moved = move_curved(
         triple(start), way, model, action, frame, memory, scene, mode, normals
