@@ -1,8 +1,7 @@
 """Compiled code of kernels that only other kernels call.
 
-numba optimises each function and makes machine code of it. A kernel called by kernels alone needs
-neither: its code is linked into its callers, and optimised and made machine code there. It is a
-seventh of the time of compiling.
+numba makes machine code of each function and an entry for Python. A kernel called by kernels alone
+needs neither: its optimised bitcode is linked into its callers, which become machine code.
 """
 
 from typing import Any
@@ -19,13 +18,14 @@ _LIBRARY: Any = JITCodeLibrary
 
 
 class InnerLibrary(_LIBRARY):
-    """Code to link into other libraries: never optimised as a whole, never machine code."""
+    """Bitcode to link into other libraries; it never becomes machine code."""
 
     def finalize(self) -> None:
-        """Link the libraries of all callees."""
+        """Link the libraries of all callees, and optimise."""
         self._raise_if_finalized()
         for library in dict.fromkeys(self._linking_libraries):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._optimize_final_module()
         self._finalized = True
 
     def serialize_using_object_code(self) -> Any:
