@@ -54,7 +54,10 @@ def word_of(key, counter):
 
 @inner_kernel(inline="code")
 def later_key(key, count):
-    """Key of a stream without its first words: its word k is word k + count of the stream."""
+    """Key of a stream without its first words, a number without unit.
+
+    Its word k is word k + count of the stream.
+    """
     return key + np.uint64(count) * _INCREMENT
 
 

@@ -71,7 +71,7 @@ def _given(field: str, value: Any, n: int) -> NDArray[np.float64] | None:
 def gain_range(
     scenario: Scenario, min_gain: Any = None, max_gain: Any = None
 ) -> tuple[float, float]:
-    """Limits c and C of the Σ_j c_ij of all robots, m/s: the least and the largest of
+    """Pair of limits c and C of the Σ_j c_ij of all robots, m/s: the least and the largest of
     ``gain_ranges``, with its errors. Theorem G assumes nothing else of the gains.
     """
     least, most = gain_ranges(scenario, min_gain, max_gain)

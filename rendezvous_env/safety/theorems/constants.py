@@ -69,7 +69,10 @@ def min_degrees(scenario: Scenario) -> Array:
 
 
 def min_neighbours(scenario: Scenario) -> Array:
-    """Minimum numbers of neighbours, an array (n − 1,): all on complete graphs, two on cycles."""
+    """Minimum numbers of neighbours, an array (n − 1,), without unit.
+
+    All robots on complete graphs, two on cycles.
+    """
     sure = np.inf if is_complete(scenario) else 1.0 + _is_cycle(scenario)
     return np.minimum(robots_left(scenario) - 1.0, sure)
 
