@@ -136,9 +136,12 @@ class _Kernel(_DISPATCHER):
 
         Constant arguments make no signatures of their own.
         """
-        self._caller_is_kernel = True
         named = {name: types.unliteral(kind) for name, kind in kws.items()}
-        return super().get_call_template(tuple(map(types.unliteral, args)), named)
+        self._caller_is_kernel = True
+        try:
+            return super().get_call_template(tuple(map(types.unliteral, args)), named)
+        finally:  # arguments that do not fit never reach ``compile``
+            self._caller_is_kernel = False
 
     def compile(self, sig: Any) -> Any:
         """Entry point for a signature, from disk or newly compiled."""

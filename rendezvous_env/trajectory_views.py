@@ -243,7 +243,8 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, NDArr
         if about["format"] != _FORMAT:
             raise ValueError(f"format {about['format']}; this version reads {_FORMAT}")
     except (ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is no trajectory: {error}; Trajectory.save writes one") from error
+        why = f"it has no entry {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path} is no trajectory: {why}; Trajectory.save writes one") from error
     return about, arrays
 
 

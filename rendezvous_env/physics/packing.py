@@ -7,6 +7,8 @@ from .half_planes import nearest_within
 
 _SHORT_OF_TOUCHING = 1.0 - 1e-9
 """Fraction of the available gap that is used, so that rounding causes no overlap."""
+_ROUNDING = 1e-12
+"""Relative error of the distance at which bodies stop each other."""
 _TOUCHED = 2
 """Minimum number of contacts of a disc in a packed cluster; with one contact it can still roll."""
 
@@ -50,16 +52,18 @@ def move_apart(positions, displacements, lengths, size, work):
 def is_packed(positions, radius, work):
     """True if all discs are connected by contacts and each touches two others (one for n = 2).
 
-    Contacts have ‖p_i − p_j‖ ≤ radius, m. Working memory is (order (n,) int64, reached (n,) bool).
+    Contacts have ‖p_i − p_j‖ ≤ radius, m, up to rounding: bodies of half that radius stop each
+    other just there. Working memory is (order (n,) int64, reached (n,) bool).
     """
     order, reached = work
     n, done, found = len(positions), 0, 1
+    reach = radius * (1.0 + _ROUNDING)
     reached[:] = False
     order[0], reached[0] = 0, True
     while done < found:
         i, touched = order[done], 0
         for j in range(n):
-            if j != i and apart(positions, i, j) <= radius:
+            if j != i and apart(positions, i, j) <= reach:
                 touched += 1
                 if not reached[j]:
                     order[found], reached[j] = j, True

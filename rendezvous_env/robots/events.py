@@ -175,20 +175,24 @@ class Events:
                 "compass_drift",
                 "compass_walk",
                 why="bodies, not compasses, turn frames of",
-                by=model,
+                by=scenario.robot_model,
             )
         if not model.bounded:
             velocity = "adversaries", "n_adversarial", "disturbance", "disturbance_noise"
-            self._refuse(*velocity, why="the action is not the velocity of", by=model)
+            self._refuse(
+                *velocity, why="the action is not the velocity of", by=scenario.robot_model
+            )
         if model.keeps_velocity:
-            self._refuse("crashes", "n_crashed", "slip", why="inertia moves", by=model)
+            self._refuse(
+                "crashes", "n_crashed", "slip", why="inertia moves", by=scenario.robot_model
+            )
 
     def _refuse(self, *fields: str, why: str, by: Any) -> None:
         """Reject fields that a robot model does not support."""
         for field in fields:
             value, usual = getattr(self, field), getattr(_NOTHING, field)
             if value != usual:
-                wanted = f"{usual!r} with robot_model={by.name!r}: {why} such robots"
+                wanted = f"{usual!r} with robot_model={by!r}: {why} such robots"
                 checks.raise_invalid(f"events.{field}", value, wanted)
 
     def to_plain(self) -> dict[str, Any]:

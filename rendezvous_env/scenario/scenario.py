@@ -205,6 +205,7 @@ class Scenario:
     __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
+        self._check_lists()  # before equal entries become one value
         checks.check_fields(self)
         if self.mixes_models:
             check_members(self.robot_model, self.models, self.dim)  # type: ignore[arg-type]
@@ -212,7 +213,6 @@ class Scenario:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
             wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
             checks.raise_invalid("robot_model", self.robot_model, wanted)
-        self._check_lists()
         self._check_graph()
         self._check_obstacles()
         self._check_bodies()
@@ -551,9 +551,12 @@ class Scenario:
         scenario_files.write(path, self.to_plain())
 
     def _check_lists(self) -> None:
-        """Check that each list of limits has one number for each robot."""
-        for name in self.per_robot:
-            if len(given := getattr(self, name)) != self.n_robots:
+        """Check that each list of limits or sensors has one entry for each robot."""
+        if not checks.is_int(self.n_robots):
+            return  # rejected later
+        for name in (*PER_ROBOT, "sensing"):
+            given = getattr(self, name)
+            if checks.is_sequence(given) and len(given) not in (0, self.n_robots):
                 remedy = f"{self.n_robots} entries, one for each robot, or a single one for all"
                 checks.raise_invalid(name, list(given), remedy)
 
@@ -605,6 +608,9 @@ class Scenario:
             checks.raise_invalid("merge_through_obstacles", False, wanted)
         free = self.dim == 2 and not self.obstacles
         if packs and not (free and self.robot_model in _PACKING):
+            if self.mixes_models:
+                wanted = f"'merge' for the robot models {', '.join(sorted(set(self.robot_model)))}"
+                checks.raise_invalid("meeting", "pack", f"{wanted}: only one model can pack")
             raise ValueError(
                 f"meeting is 'pack'; it must be 'merge' for {self.robot_model} robots in "
                 f"{self.dim}-D{' among obstacles' if self.obstacles else ''}: bodies pack as "

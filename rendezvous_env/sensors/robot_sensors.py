@@ -21,9 +21,17 @@ def as_sensing(field: str, value: Any) -> Sensing:
         return _one(field, value)
     if len(value) == 0:
         checks.raise_invalid(field, value, "a Sensing, or a list of one for each robot")
-    sensors = [_one(f"{field}[{robot}]", own) for robot, own in enumerate(value)]
+    sensors = [_sensor(field, robot, own) for robot, own in enumerate(value)]
     fields = {one.name: _combined(field, one.name, sensors) for one in dataclasses.fields(Sensing)}
     return Sensing(**fields)
+
+
+def _sensor(field: str, robot: int, own: Any) -> Sensing:
+    """Sensor of one robot; errors about its fields name the robot."""
+    try:
+        return _one(f"{field}[{robot}]", own)
+    except ValueError as error:
+        raise ValueError(str(error).replace("sensing.", f"{field}[{robot}].", 1)) from error
 
 
 setattr(as_sensing, "made", Sensing)  # noqa: B010 - as ``of_class``, for hints on its fields

@@ -49,7 +49,7 @@ def _check_ranges(field: str, value: Any) -> Any:
 
     if checks.is_sequence(value):
         return checks.one_or_each(field, value, one, "m")
-    return checks.positive(field, value, unit="m")
+    return one(field, value)
 
 
 def _each(check: Any, unit: str = "") -> Any:

@@ -158,6 +158,33 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
         (gc.enable if before else gc.disable)()
 
 
+def test_kernel_called_by_a_wrong_kernel_still_has_an_entry():
+    @compilation.kernel
+    def successor(x):
+        return x + 1.0
+
+    @compilation.kernel
+    def wrong(x):
+        return successor(x, x)
+
+    with pytest.raises(TypeError if not compilation.compiled() else numba.TypingError):
+        wrong(1.0)
+    assert successor(1.0) == 2.0
+
+
+def test_kernel_compiled_for_a_kernel_gets_an_entry_when_python_calls_it():
+    @compilation.kernel
+    def successor(x):
+        return x + 1.0
+
+    @compilation.kernel
+    def twice(x):
+        return successor(successor(x))
+
+    assert twice(1.0) == 3.0 and successor(1.0) == 2.0 and twice(2.0) == 4.0
+    assert not compilation.compiled() or len(successor.overloads) == 1
+
+
 def test_compilation_changes_nothing_of_numba_for_others(tmp_path):
     """Function numbers and settings are kept, and a user's kernels are unaffected."""
     script = """

@@ -263,6 +263,10 @@ def test_events_pass_through_plain_data_and_files(name, tmp_path):
         ({"robot_model": "unicycle", "compass_drift": 1.0}, "robot_model='unicycle'"),
         ({"robot_model": "unicycle", "disturbance": 1.0}, "robot_model='unicycle'"),
         ({"robot_model": "double_integrator", "n_crashed": 1}, "robot_model='double_integrator'"),
+        (
+            {"robot_model": ["unicycle", *["single_integrator"] * 4], "disturbance": 1.0},
+            "robot_model=('unicycle', 'single_integrator'",
+        ),
     ],
 )
 def test_invalid_events_are_named_with_a_remedy(fields, words):

@@ -205,3 +205,11 @@ class TestScenario:
         points = rv.certificate(rv.Scenario(n_robots=4))
         assert rv.certificate(docking).time_bound == points.time_bound
         assert rv.certificate(docking).guaranteed
+
+
+def test_bodies_of_half_the_merge_radius_pack():
+    radius = 0.1  # bodies stop each other at the merge radius, up to rounding
+    scenario = rv.Scenario(n_robots=3, merge_radius=0.2, body_radius=radius, meeting="pack")
+    for one in (scenario, scenario.replace(body_radius=0.999 * radius)):
+        law = baselines.make("bearing-only", one)
+        assert rv.rollout(one, law, seed=3, num_envs=8).success.mean() == 1.0

@@ -302,8 +302,22 @@ def test_certificate_and_filters_refuse_mixed_teams(by):
         (["unicycle", "single_integrator"], 3, r"robot_model\[0\] is 'unicycle'; .* for dim 3"),
         (["unicycle", "single_integrator", "unicycle"], 2, "2 entries, one for each robot"),
         (["unicycle", "bicycle"], 2, r"robot_model\[1\] is 'bicycle'"),
+        (["unicycle"] * 3, 2, "2 entries, one for each robot"),
     ],
 )
 def test_mixed_team_refuses_wrong_models(models, dim, message):
     with pytest.raises(ValueError, match=message):
         rv.Scenario(n_robots=2, dim=dim, robot_model=models)
+
+
+@pytest.mark.parametrize("field", ["max_speed", "max_turn_rate", "body_radius"])
+def test_equal_limits_are_one_for_each_robot(field):
+    with pytest.raises(ValueError, match=f"{field} is .*; it must be 4 entries"):
+        rv.Scenario(n_robots=4, **{field: [0.05] * 3})
+    assert getattr(rv.Scenario(n_robots=4, **{field: [0.05] * 4}), field) == 0.05
+
+
+def test_mixed_team_does_not_pack():
+    models = ["unicycle", "single_integrator"]
+    with pytest.raises(ValueError, match="meeting is 'pack'.*only one model can pack"):
+        rv.Scenario(n_robots=2, meeting="pack", body_radius=0.09, robot_model=models)

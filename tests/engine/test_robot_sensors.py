@@ -151,13 +151,21 @@ def test_sensors_are_refused_by_field_value_and_remedy(given, message):
         ([], "a Sensing, or a list of one for each robot"),
         ([{"delay": 1}] + [{}] * 4, r"sensing\[1\].delay is 0; it must be 1 as that of robot 0"),
         ([{"noise": [0.1, 0.2]}] * 5, r"sensing\[0\].noise is \[0.1, 0.2\]; it must be one num"),
-        ([{"range": -1.0}] * 5, "sensing.range is -1.0"),
-        ([1, 2], r"sensing\[0\] is 1; it must be a Sensing"),
+        ([{}, {"range": -1.0}, {}, {}, {}], r"sensing\[1\].range is -1.0"),
+        ([1] * 5, r"sensing\[0\] is 1; it must be a Sensing"),
+        ([{"noise": 0.1}] * 3, "sensing is .*; it must be 5 entries, one for each robot"),
     ],
 )
 def test_sensors_given_one_by_one_are_refused_by_field_value_and_remedy(given, message):
     with pytest.raises(ValueError, match=message):
         PLANE.replace(sensing=given)
+
+
+def test_range_without_a_limit_has_a_name_in_files():
+    assert rv.Sensing(range="unlimited") == rv.Sensing()
+    assert PLANE.replace(sensing=[{"range": "unlimited"}] + [{"range": 2.0}] * 4).sensing.range == (
+        *(None, 2.0, 2.0, 2.0, 2.0),
+    )
 
 
 @pytest.mark.parametrize("field", ["range", "field_of_view"])

@@ -146,7 +146,9 @@ def test_load_refuses_what_is_no_trajectory(tmp_path):
     text = tmp_path / "text.npz"
     text.write_text("no archive")
     for path in (other, text):
-        with pytest.raises(ValueError, match="is no trajectory"):
+        with pytest.raises(
+            ValueError, match="is no trajectory: (it has no entry 'about'|.*pickle)"
+        ):
             rv.Trajectory.load(path)
     with pytest.raises(FileNotFoundError):
         rv.Trajectory.load(tmp_path / "none.npz")
