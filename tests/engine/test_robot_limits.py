@@ -319,5 +319,5 @@ def test_equal_limits_are_one_for_each_robot(field):
 
 def test_mixed_team_does_not_pack():
     models = ["unicycle", "single_integrator"]
-    with pytest.raises(ValueError, match="meeting is 'pack'.*only one model can pack"):
+    with pytest.raises(ValueError, match=r"meeting is 'pack'.*only one model can pack"):
         rv.Scenario(n_robots=2, meeting="pack", body_radius=0.09, robot_model=models)

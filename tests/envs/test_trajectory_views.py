@@ -147,7 +147,7 @@ def test_load_refuses_what_is_no_trajectory(tmp_path):
     text.write_text("no archive")
     for path in (other, text):
         with pytest.raises(
-            ValueError, match="is no trajectory: (it has no entry 'about'|.*pickle)"
+            ValueError, match=r"is no trajectory: (it has no entry 'about'|.*pickle)"
         ):
             rv.Trajectory.load(path)
     with pytest.raises(FileNotFoundError):
