@@ -281,5 +281,5 @@ def test_mixed_models_have_no_certificate_and_no_filter(case):
     assert not found.guaranteed and "mixed robots" in found.theorem
     with pytest.raises(ValueError, match=r"scenario has mixed robots"):
         rv.vector.HeadingVectorWrapper(rv.make_vec(scenario, num_envs=2))
-    with pytest.raises(ValueError, match=r"events.disturbance is 0.1; .* robot_model='mixed'"):
+    with pytest.raises(ValueError, match=r"events.disturbance is 0.1; .* robot_model=\('"):
         scenario.replace(events=rv.Events(disturbance=0.1))
