@@ -20,12 +20,16 @@ _LIBRARY: Any = JITCodeLibrary
 class InnerLibrary(_LIBRARY):
     """Bitcode to link into other libraries; it never becomes machine code."""
 
+    is_inlined = False
+    """True for code that its callers inline: they optimise it, with their constants in it."""
+
     def finalize(self) -> None:
-        """Link the libraries of all callees, and optimise."""
+        """Link the libraries of all callees; optimise unless callers inline the code."""
         self._raise_if_finalized()
         for library in dict.fromkeys(self._linking_libraries):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-        self._optimize_final_module()
+        if not self.is_inlined:
+            self._optimize_final_module()
         self._finalized = True
 
     def serialize_using_object_code(self) -> Any:
@@ -45,6 +49,7 @@ class InnerLowering(_LOWERING):
             return bool(super().run_pass(state))
         state.library = InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
+        state.library.is_inlined = state.flags.forceinline
         state.flags.no_compile = True
         super().run_pass(state)
         made = state["cr"]
