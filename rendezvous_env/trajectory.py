@@ -199,7 +199,7 @@ def begin(policy: Policy, simulator: Simulator) -> None:
 
 
 def _check_made_for(policy: Policy, scenario: Scenario) -> None:
-    """Raise an error for a policy whose own scenario has other robots or observations."""
+    """Raise an error for a policy of a scenario with other robots or observations."""
     made_for = getattr(policy, "scenario", None)
     if not isinstance(made_for, Scenario):
         return

@@ -271,7 +271,7 @@ def _velocity_in(seen: ObservedRows) -> Array:
 
 
 def _is_mixed(scenario: Scenario) -> bool:
-    """True for teams of several models, each of which has a law."""
+    """True for teams of several models with a law for each."""
     return scenario.mixes_models and set(scenario.robot_model) <= set(_INPUTS)
 
 

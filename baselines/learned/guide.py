@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, floats, raise_invalid
+from rendezvous_env.checks import check_shape, floats
 from rendezvous_env.engine.state_checks import check_observations
 from rendezvous_env.engine.threads import Calls, Slice
 from rendezvous_env.safety.heading import HeadingFilter
@@ -19,6 +19,7 @@ from rendezvous_env.safety.safety_filter import over_robots, over_teams
 from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..network_actions import check_choices, raise_not_finite
 from ..obstacle_rules.planes_in_space import PASSABLE
 from ..policy import Float32, Mask
 from ..search.direct_control import DirectTeams
@@ -203,15 +204,7 @@ class GuidedTeams:
 
     def choose(self, choices: ArrayLike) -> None:
         """Set choices (B, n) until the next call; a ValueError names the robot of a wrong one."""
-        numbers, given, count = floats("actions", choices), np.asarray(choices), len(self.angles)
-        check_shape("actions", given, self.choices.shape, axes="(B, n)")
-        is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
-        for team, robot in np.argwhere(~is_choice):
-            raise ValueError(
-                f"action of robot_{robot} in environment {team} is {given[team, robot]}; it must "
-                f"be an integer below {count}"
-            )
-        self.choices = numbers.astype(np.int64)
+        self.choices = check_choices(choices, self.choices.shape, len(self.angles))
         self._directions = self._turns[self.choices]
         self.perception.note(self.angles[self.choices])
 
@@ -224,12 +217,7 @@ class GuidedTeams:
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
         turned = np.empty(given.shape)
         if not unit_vectors(given, turned, tuple(self._turns[0])):
-            team, robot, _ = np.argwhere(~np.isfinite(given))[0]
-            raise_invalid(
-                f"action of robot_{robot} in environment {team}",
-                given[team, robot].tolist(),
-                "finite",
-            )
+            raise_not_finite(given)
         self._directions = turned
         if self.perception.remembers_angles:
             self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rendezvous_env.checks import check_shape, floats, raise_invalid
+from rendezvous_env.checks import check_shape, floats
 from rendezvous_env.engine.state_checks import StatefulMixin, check_mask, check_observations
 from rendezvous_env.engine.threads import Calls, Slice
 from rendezvous_env.safety.safety_filter import SafetyFilter, over_teams
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..network_actions import check_choices, raise_not_finite
 from ..policy import Float32, Mask
 from ..records import Array, Records
 from .memory_kernels import EDGES, FIELDS, Body, command, move_memory, show_memory
@@ -144,15 +145,7 @@ class DirectTeams:
 
     def choose(self, choices: ArrayLike) -> None:
         """Set choices (B, n) until the next call; a ValueError names the robot of a wrong one."""
-        numbers, given, count = floats("actions", choices), np.asarray(choices), len(self._table)
-        check_shape("actions", given, self.choices.shape, axes="(B, n)")
-        is_choice = (numbers >= 0) & (numbers < count) & (numbers == np.floor(numbers))
-        for team, robot in np.argwhere(~is_choice):
-            raise ValueError(
-                f"action of robot_{robot} in environment {team} is {given[team, robot]}; "
-                f"it must be an integer below {count}"
-            )
-        self.choices = numbers.astype(np.int64)
+        self.choices = check_choices(choices, self.choices.shape, len(self._table))
         self.head(self._table[self.choices])
 
     def head(self, vectors: ArrayLike) -> None:
@@ -162,12 +155,7 @@ class DirectTeams:
         """
         given = floats("actions", vectors)
         check_shape("actions", given, (*self.choices.shape, 2), axes="(B, n, 2)")
-        for team, robot, _ in np.argwhere(~np.isfinite(given)):
-            raise_invalid(
-                f"action of robot_{robot} in environment {team}",
-                given[team, robot].tolist(),
-                "finite",
-            )
+        raise_not_finite(given)
         self.steering.held[...] = np.clip(given, -1.0, 1.0) * self._limits
 
     def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:

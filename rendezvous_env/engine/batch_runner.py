@@ -30,8 +30,8 @@ _OBSTACLES, _ERRING, _CONTROLLED = 4, 2, 3
 """Relative cost of obstacle rows, of imperfect sensors, and of steps with a controller."""
 
 _FEW = 6
-"""Calls for one block take as long as for several: a group is observed as a whole if at least one
-of so many of its blocks has to be."""
+"""A group of blocks is observed as a whole if at least one in this number of its blocks has to be:
+calls for one block take as long as for several."""
 
 _Observations = NDArray[np.float32]  # annotations within ``step_n`` are looked up in every step
 ObservationCallback = Callable[[Slice, _Observations], Calls]

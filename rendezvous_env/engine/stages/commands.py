@@ -132,7 +132,7 @@ def take_commands(
 
 @inner_kernel(inline="code")
 def _find_keys(width, start, count, purpose, words, streams, environment, keys):
-    """Keys of the streams for one purpose, from the current step on, of so many words a step."""
+    """Keys of the streams for one purpose from the current step on; a step has ``words`` words."""
     lanes, (seeds, episodes) = lane_count(width), streams
     for lane in range(count):
         key = stream_key(seeds[start + lane], episodes[start + lane], purpose)
