@@ -15,7 +15,6 @@ from ..checks import (
     format_limit,
     is_int,
     mapping,
-    nearest_word,
     raise_invalid,
     short_repr,
 )
@@ -25,6 +24,7 @@ from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
 from ..obstacles.moving import moves
 from ..obstacles.obstacle_set import check_outside, pack
+from ..suggestions import nearest_word
 
 _ROUNDING = 1e-9
 

@@ -8,9 +8,9 @@ from typing import Annotated
 from tyro.conf import arg
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import closest_match
 from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.suggestions import closest_match
 
 from .. import policies, results
 from ..checks import Bounds, UserError

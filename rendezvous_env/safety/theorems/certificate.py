@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ...checks import choice, is_sequence, known_arguments, raise_invalid, to_float
+from ...checks import choice, is_sequence, raise_invalid, to_float
 from ...deprecation import renamed_attribute
+from ...field_checks import known_arguments
 from ...field_docs import lists_fields
 from ...field_repr import repr_of_changes
 from ...scenario.scenario import Scenario
