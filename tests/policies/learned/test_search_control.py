@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from robot_actions import single_and_batch
 from training_runs import assert_goes_on
 
 import baselines
@@ -198,16 +199,10 @@ def test_single_robot_acts_as_one_of_a_batch(name):
     drawn = weights(SETTINGS, SETTINGS.layout_of(scenario))
     policy = LearnedPolicy(scenario, drawn, SETTINGS)
     robot = baselines.RobotPolicy(scenario, LearnedPolicy(scenario, drawn, SETTINGS))
-    simulator, layout, commands = rv.Simulator(scenario), scenario.observation_layout, set()
-    observations = simulator.reset(3)
-    for _ in range(250):
-        actions = policy(observations, simulator.time)
-        seen = layout.split(observations[0, 1])
-        rows = seen.neighbours[seen.neighbours.any(axis=-1)]
-        edges = seen.obstacles[seen.obstacles.any(axis=(-1, -2))]
-        np.testing.assert_allclose(robot.act(rows, edges), actions[0, 1], atol=1e-6)
-        commands.add(tuple(actions[0, 1].tolist()))
-        observations = simulator.step(actions).observations
+    commands = set()
+    for alone, together in single_and_batch(policy, robot):
+        np.testing.assert_allclose(alone, together, atol=1e-6)
+        commands.add(tuple(together.tolist()))
     assert len(commands) > 2 and policy.guarantee is None
 
 
