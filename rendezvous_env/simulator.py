@@ -105,7 +105,7 @@ class Simulator(StateView):
                 None in it keeps that environment's seed. None continues with the next episode of
                 every seed, or samples a seed if there is none.
             options: "positions" (n, d) m, "headings" (n,) rad or (n, 2) yaw and pitch, "frames" (n,
-                d, d) rotations, "weights" (n, n) m/s, each with a leading axis B if environments
+                d, d) rotations, "weights" (n, n) m/s. Each has a leading axis B if environments
                 differ. "obstacles" apply to all environments. None counts as absent.
             mask: (B,), environments to reset; None is all.
 
