@@ -139,7 +139,7 @@ class TestList:
         said = self.lines("scenarios", capsys)
         for name in scenarios.names():
             assert f"{name} {scenarios.get(name).n_robots} robots" in said
-        assert "3 fixed obstacles, which robots pass through, one start" in said
+        assert "3 fixed obstacles, which robots pass through, given initial condition" in said
         assert "random tree graph with gains of 0.5 to 2 m/s" in said
         assert "rooms 5 robots in the plane, complete graph, rooms of drawn walls" in said
         assert "complete graph, sensing with noise = 0.3, dropout = 0.1" in said

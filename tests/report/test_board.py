@@ -54,7 +54,7 @@ def test_page_has_every_row_and_record(board):
         kept = json.loads((board / row["card"]).read_text(encoding="utf-8"))
         assert kept == card
         starts = card["results"]["clean"]
-        assert float(row["clean"]) == pytest.approx(sum(starts) / len(starts))
+        assert float(row["collision_free"]) == pytest.approx(sum(starts) / len(starts))
     own = " 'unsafe-inline'; "
     assert f"default-src 'none'; script-src{own}style-src{own}img-src data:" in text
     assert not re.findall(r"(?:src|href)=\"(?:https?:)?//", text)
@@ -73,7 +73,10 @@ def test_page_carries_replays_with_recorded_results(board):
         policy = card["algorithm"] + (f", seed {card['seed']}" if card["decisions"] else "")
         for start, kept in read_replay(path, card["results"]).items():
             one, blob = shown[card["field"], policy, start]
-            told = {"success": "success", "clean": "clean", "time": "time", "contacts": "touches"}
+            told = {
+                **{"success": "success", "collision_free": "clean"},
+                **{"time": "time", "contacts": "touches"},
+            }
             assert {name: float(one["outcome"][name]) for name in told} == {
                 name: card["results"][own][start] for name, own in told.items()
             }
