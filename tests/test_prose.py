@@ -1,6 +1,7 @@
 """Prose of pages and docstrings: sentence length, banned words, vocabulary, spelling."""
 
 import ast
+import functools
 import json
 import re
 import subprocess
@@ -98,8 +99,13 @@ def words(text: str) -> int:
     return sum(bool(re.search(r"[^\W\d_]", token)) for token in text.split())
 
 
-def docstrings() -> Iterator[tuple[str, str]]:
+@functools.cache
+def docstrings() -> tuple[tuple[str, str], ...]:
     """Place and text of every public docstring."""
+    return tuple(_docstrings())
+
+
+def _docstrings() -> Iterator[tuple[str, str]]:
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -97,6 +97,7 @@ class TestBarrier:
         assert paid[0] > 20 and paid[1] == 0
 
 
+@pytest.mark.slow
 def test_filters_differ_in_contacts_and_rises():
     field, risen, touches = scenarios.get("clutter-16"), {}, {}
     for safety in ("none", "rule", "heading"):
@@ -161,6 +162,7 @@ def test_law_is_evaluated_as_in_compare(board):
     assert law["touches"] == played.contacts.tolist()
 
 
+@pytest.mark.slow
 def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
     card = board / "cells/ppo-heading/clutter-8-v1-seed-1.json"
     other = board.with_name("other.json")
@@ -211,6 +213,7 @@ def test_finished_runs_are_not_repeated(board, tmp_path, monkeypatch):
     assert len(done) == 3
 
 
+@pytest.mark.slow
 def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys):
     done, run_of = [], command.run_of
     shutil.copytree(board, out := tmp_path / "out")
@@ -232,6 +235,7 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
         command.run(more)
 
 
+@pytest.mark.slow
 def test_runs_without_replay_are_repeated_with_record(board, tmp_path):
     shutil.copytree(board, out := tmp_path / "out")
     cards = [card["results"] for card in cards_of.read_cards(out)]

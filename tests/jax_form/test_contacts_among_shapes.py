@@ -77,6 +77,7 @@ def test_contacts_equal_the_kernels(name, mode, rj):
     assert 50 < np.sum(met) < len(points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "mode"), [("discs", SLIDE), *LONG])
 def test_gradients_of_contacts_equal_differences(name, mode, rj):
     """Where differences on both sides agree, so that no decision changes; elsewhere finite."""
@@ -120,6 +121,7 @@ def test_gradients_of_contacts_equal_differences(name, mode, rj):
         assert chosen.sum() > 9, "hardly a contact"
 
 
+@pytest.mark.slow
 def test_pairs_behind_obstacles_do_not_merge(rj):
     import jax
     import jax.numpy as jnp

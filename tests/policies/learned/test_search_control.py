@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from parameters import slow
 from robot_actions import single_and_batch
 from training_runs import assert_goes_on
 
@@ -272,7 +273,7 @@ def test_environment_pays_own_progress_to_robots():
     np.testing.assert_array_equal(extra[0], usual[0])
 
 
-@pytest.mark.parametrize("memory", [{}, {"memory": "recurrent", "memory_units": 8}])
+@pytest.mark.parametrize("memory", [{}, slow({"memory": "recurrent", "memory_units": 8})])
 def test_resumed_training_is_identical(memory, tmp_path):
     """With the memory of features alone, and with a recurrent unit on top of it."""
     brief = {"decision_period": 10, "num_envs": 6, "total_steps": 3 * 6 * 5 * 16, "eval_every": 0}
