@@ -34,7 +34,7 @@ from .rewards.custom_terms import RewardStep, add_custom_terms
 from .robots.robot_models import is_custom
 from .scenario.scenarios import ScenarioLike, resolve
 from .scenario.start_options import StartOptions, parse_options, seeds_of_environments
-from .sensors.custom_sensors import Seen, apply_custom
+from .sensors.custom_sensors import ObservationBatch, apply_custom
 from .state_view import StateView, read_only
 
 
@@ -327,7 +327,10 @@ class Simulator(StateView):
         if self.scenario.sensing.custom:
             rows, steps = output.observations[which], self.steps[which]
             seeds, numbers = self._state.seed[which], self._state.number[which]
-            apply_custom(Seen(self._sensed, rows, steps, seeds, numbers, self.positions[which]))
+            seen = ObservationBatch(
+                self._sensed, rows, steps, seeds, numbers, self.positions[which]
+            )
+            apply_custom(seen)
             output.observations[which] = rows
 
     def check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
