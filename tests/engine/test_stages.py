@@ -48,7 +48,7 @@ def test_stages_that_a_scenario_lacks_are_not_called():
     simulator = Simulator(rv.Scenario(n_robots=2, spawn_size=50.0))
     simulator.reset(seed=0)
     simulator.step(np.zeros((1, 2, 2), np.float32))
-    expected = {"propose_motion", "advance_free", "sense_pairs", "conclude_step"}
+    expected = {"propose_motion", "sense_pairs", "conclude_step"}
     assert called(simulator) == expected
     simulator.compile()
     assert called(simulator) == {*expected, "merge_robots"}
