@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import bools, flag, is_int, short_repr
 from ..engine.batch_runner import BatchController, ObservationCallback, RolloutResult
-from ..engine.memory import RENDEZVOUS, TIME_OUT
+from ..engine.memory import TIME_OUT
 from ..outcome import StepOutput
 from ..render.renderer import Renderer, render_metadata
 from ..rewards.costs import no_costs
