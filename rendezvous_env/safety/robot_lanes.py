@@ -18,7 +18,7 @@ from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
 LANES = 32 if compiled() else 1  # robots that are worked on at a time
-_ROWS = 27
+_ROWS = 31
 _1, _2, _3, _BESIDE = (np.uint64(number) for number in (1, 2, 3, LANES))
 """Unsigned, so that the compiler has no negative index to handle."""
 Numbers = NDArray[np.float64]
@@ -31,10 +31,14 @@ class Lanes(NamedTuple):
     choice: Numbers  # that is held
     heading: Numbers
     sent: Numbers  # velocities of actions, m/s
-    towards: Numbers  # f/‖f‖
+    towards: Numbers  # f/‖f‖; of the heading filter the x axis where f is zero
     wanted: Numbers  # desired velocities, m/s
     strength: Numbers  # ‖f‖, m/s
     scale: Numbers  # s of velocities, without unit
+    margin: Numbers  # ε_i of the cap around f
+    rest: Numbers  # √(1 − ε_i²)
+    desired: Numbers  # length of the choice
+    carried: Numbers  # length of the heading before the step, 1 or 0
     owed: Numbers  # decrease of V that is promised, m²/s
     degree: Numbers  # D, m/s
     level: Numbers  # A, m²/s
@@ -45,7 +49,7 @@ class Lanes(NamedTuple):
 
 
 def room_for(rows: int, dim: int) -> tuple[Numbers, NDArray[np.float32]]:
-    """Memory of a kernel: (27, LANES) for ``lanes_of``, (rows, LANES·d) for ``weigh_rows``."""
+    """Memory of a kernel: (31, LANES) for ``lanes_of``, (rows, LANES·d) for ``weigh_rows``."""
     return np.zeros((_ROWS, LANES)), np.zeros((rows, LANES * dim), np.float32)
 
 
@@ -60,10 +64,11 @@ def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, in
 
 @inner_kernel(inline="text")
 def lanes_of(work):
-    """The Lanes whose rows, (27, LANES), these are."""
+    """The Lanes whose rows, (31, LANES), these are."""
     vectors = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15], work[15:18]
-    numbers = work[18], work[19], work[20], work[21], work[22], work[23]
-    return Lanes(*vectors, *numbers, work[24], work[25], work[26])
+    numbers = work[18], work[19], work[20], work[21], work[22], work[23], work[24], work[25]
+    rest = work[26], work[27], work[28], work[29], work[30]
+    return Lanes(*vectors, *numbers, *rest)
 
 
 # Robots are cut out of arrays first: of ``values[first + lane]`` the compiler cannot know that the
