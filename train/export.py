@@ -245,8 +245,8 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
 
     Inputs: neighbours (N, K, 3), obstacles (N, M, 6), context (N, columns) and, with a recurrent
     unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices) and
-    hidden_next. The metadata contain the settings, the angles of the choices, rad, or their speeds
-    and turn rates in units of the limits, and a digest of the whole file.
+    hidden_next. The metadata contain the settings, a digest of the whole file, and the choices:
+    their angles, rad, or their speeds and turn rates in units of the limits.
 
     Raises:
         ValueError: naming an array that is missing, of another shape or not finite.

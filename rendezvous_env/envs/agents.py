@@ -9,6 +9,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, raise_invalid, short_repr
+from ..engine.step import first_not_finite
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
 from ..state_view import STANDING
@@ -197,7 +198,7 @@ def table_of(
         listed = np.array([actions[name] for name in alive])
         if listed.dtype != np.float32:
             listed = floats("actions", listed, np.float32)
-        fits = listed.shape == (len(alive), size) and bool(np.isfinite(listed).all())
+        fits = listed.shape == (len(alive), size) and first_not_finite(listed.reshape(-1)) < 0
     except (LookupError, TypeError, ValueError, RuntimeError, ArithmeticError):
         fits = False
     if not fits or len(actions) != len(alive):

@@ -211,8 +211,8 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     The desired velocity is executed while A_i + G_i ≥ 0, even opposite to f_i. Otherwise law (4)
     moves the robot along that direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖ (along f_i if it
     is zero), which fills the tank. On a fixed, connected, undirected graph, with bearing errors of
-    at most ``bearing_error``, V ≤ V(0) + n·budget until the first merge, and without obstacles
-    rendezvous occurs in finite time for any policy (theorem D). Other graphs and sensors are
+    at most ``bearing_error``, V ≤ V(0) + n·budget until the first merge. Without obstacles
+    rendezvous then occurs in finite time for any policy (theorem D). Other graphs and sensors are
     accepted without this guarantee; see ``certificate``. In a step with contact a robot books
     min(0, G_i), so the bound on V holds for motion without contacts. A survivor inherits the sum of
     both tanks; on complete graphs of equal weights without obstacles, all stored energies also
