@@ -4,6 +4,7 @@ See docs/theory.md, section 3. Turn rates of nonholonomic robots are in ``turnin
 """
 
 import math
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,16 @@ from ..physics.vectors import (
     x_axis,
 )
 from ..scenario.scenario import Scenario
-from .robot_lanes import LANES, give_out, lanes_of, report, sum_rows, take_in, weigh_rows
+from .robot_lanes import (
+    LANES,
+    end_of_run,
+    give_out,
+    lanes_of,
+    report,
+    sum_rows,
+    take_in,
+    weigh_rows,
+)
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_margin, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
@@ -282,6 +292,23 @@ def _turn_bodies(axes, robots, constants, arrays, work):
         lyapunov_rate[i] = -2.0 * along * sure
 
 
+@kernel
+def _steer_or_turn(axes, robots, constants, arrays, work):
+    """``_steer`` of holonomic robots, ``_turn_bodies`` of nonholonomic ones."""
+    observations, held, headings, actions, alignment, lyapunov_rate, turning = arrays
+    rates = held[:, : len(axes) - 1]
+    first = robots[0]
+    while first < robots[1]:
+        run = first, end_of_run(turning, first, robots[1])
+        if turning[first]:
+            given = observations, rates, headings, actions, alignment, lyapunov_rate
+            _turn_bodies(axes, run, constants, given, work)
+        else:
+            own = observations, held, headings, actions, alignment, lyapunov_rate
+            _steer(axes, run, constants, own, work)
+        first = run[1]
+
+
 class HeadingFilter(SafetyFilter):
     """Heading filter of B environments (theorem C).
 
@@ -309,8 +336,10 @@ class HeadingFilter(SafetyFilter):
         num_threads: int | None = None,
     ) -> None:
         check_inputs(scenario, "law (4)", bodies=True)
-        turns_body = scenario.model.nonholonomic
-        size = scenario.model.n_angles if turns_body else scenario.dim
+        turning = scenario.nonholonomic_robots
+        turns_body, size = bool(turning.any()), scenario.dim
+        if turning.all():
+            size = max(model.n_angles for model in scenario.models)
         super().__init__(scenario, num_envs, size, frame, num_threads)
         most = positive("max_turn_rate", max_turn_rate, "rad/s")
         robot = robot_of(scenario, check_margin(min_alignment), bearing_error, most)
@@ -327,6 +356,14 @@ class HeadingFilter(SafetyFilter):
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
         """Headings h_i, (B, n, d), in the robots' frames; zero if none yet."""
 
+    @cached_property
+    def choice_mask(self) -> NDArray[np.bool_]:
+        """As ``SafetyFilter.choice_mask``: vectors have d numbers, turn rates d − 1."""
+        mask = np.ones((self.scenario.n_robots, self.action_size), np.bool_)
+        if self.mixes_models:
+            mask[self.scenario.nonholonomic_robots, -1] = False
+        return mask
+
     @property
     def headings(self) -> NDArray[np.float64]:
         """Copy of ``carried``."""
@@ -341,10 +378,13 @@ class HeadingFilter(SafetyFilter):
     ) -> Calls:
         """As ``SafetyFilter.apply_calls``."""
         act, constants = _turn_bodies if self.turns_body else _steer, self._constants
+        mixed: tuple[NDArray[Any], ...] = ()
+        if self.mixes_models:
+            act, mixed = _steer_or_turn, (self._turning,)
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
         memory, told = (self._held, self.carried), (self.alignment, self.lyapunov_rate)
-        return over_robots(act, part, constants, observations, *memory, actions, *told)
+        return over_robots(act, part, constants, observations, *memory, actions, *told, *mixed)
 
 
 register_filter("heading", HeadingFilter)

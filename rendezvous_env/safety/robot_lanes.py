@@ -51,6 +51,15 @@ def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, in
     return (part[0] * n, part[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
 
 
+@inner_kernel
+def end_of_run(turning, first, stop):
+    """End of the robots from ``first`` on, before ``stop``, that all turn or do not; (N,) bool."""
+    for i in range(first + 1, stop):
+        if turning[i] != turning[first]:
+            return i
+    return stop
+
+
 @inner_kernel(inline="text")
 def lanes_of(work):
     """The Lanes whose rows, (18, LANES), these are."""

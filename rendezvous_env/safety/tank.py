@@ -22,7 +22,7 @@ from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, lanes_of, report, take_in, tell, weigh_rows
+from .robot_lanes import LANES, end_of_run, lanes_of, report, take_in, tell, weigh_rows
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import TANK_MARGIN, check_margin, levels_follow_v
 from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
@@ -176,6 +176,23 @@ def _spend_bodies(axes, robots, robot, arrays, work):
         lyapunov_rate[i] = -2.0 * dot(f, moved) / gate.duration
 
 
+@kernel
+def _spend_by_model(axes, robots, robot, arrays, work):
+    """``_spend`` of holonomic robots, ``_spend_bodies`` of nonholonomic ones."""
+    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
+    alignment, lyapunov_rate, turning = arrays[7:]
+    memory = observations, held, levels, actions, linked
+    given = (*memory, deposits, carried_out, alignment, lyapunov_rate)
+    first = robots[0]
+    while first < robots[1]:
+        run = first, end_of_run(turning, first, robots[1])
+        if turning[first]:
+            _spend_bodies(axes, run, robot, given, work)
+        else:
+            _spend(axes, run, robot, given, work)
+        first = run[1]
+
+
 @inner_kernel(inline="code")
 def _driven(m, action, limit, gate):
     """The displacement τ v m of an action's speed, after rounding (theory 4, arcs)."""
@@ -319,9 +336,12 @@ class EnergyTank(SafetyFilter):
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.apply_calls``; the gain of the step is booked by ``update``."""
-        act = _spend_bodies if self.turns_body else _spend
-        told = self._deposits, self.carried_out, self.alignment, self.lyapunov_rate
+        act: Any = _spend_bodies if self.turns_body else _spend
+        told: tuple[NDArray[Any], ...] = self._deposits, self.carried_out
+        told = *told, self.alignment, self.lyapunov_rate
         memory = self._held, self._levels, actions, self._linked
+        if self.mixes_models:
+            act, told = _spend_by_model, (*told, self._turning)
         return over_robots(act, part, self._robot, observations, *memory, *told)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:

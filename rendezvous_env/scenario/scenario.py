@@ -253,6 +253,13 @@ class Scenario:
         return isinstance(self.robot_model, tuple)
 
     @cached_property
+    def nonholonomic_robots(self) -> NDArray[np.bool_]:
+        """True for robots that move along their body axis only, (n,)."""
+        given = self.robot_model
+        names = given if isinstance(given, tuple) else (given,) * self.n_robots
+        return np.array([ROBOT_MODELS[name].nonholonomic for name in names])
+
+    @cached_property
     def max_degree(self) -> float:
         """Largest weighted degree D_i = Σ_j a_ij possible in an episode, D̄, m/s (theory 4)."""
         return float(self.sensing_graph.max_degree(self.n_robots))

@@ -74,6 +74,18 @@ def act_along(file, scenario, policy, seed, steps):
     return worst
 
 
+@pytest.mark.parametrize("robot", [0, 7])
+def test_file_of_a_robot_of_a_mixed_team_is_that_of_its_model(robot, tmp_path, capsys):
+    path = tmp_path / "robot.py"
+    words = ["export", "--policy", "by-model", "--standalone", str(path), "--checks", "50"]
+    assert cli.main([*words, "--scenario", "mixed-8", "--robot", str(robot)]) == 0
+    assert f"robot {robot} of mixed-8" in "".join(capsys.readouterr().out.split("\n"))
+    file, one = standalone.load(path), RobotPolicy("mixed-8", "by-model", robot=robot)
+    command = one.act([[0.6, 0.8], [1.0, 0.0]])
+    np.testing.assert_allclose(file.RobotPolicy().act([[0.6, 0.8], [1.0, 0.0]]), command, atol=1e-6)
+    assert np.linalg.norm(command) > 0.1
+
+
 class TestAgreement:
     @pytest.mark.parametrize(
         ("policy", "name", "steps"),
@@ -249,6 +261,11 @@ except ValueError as error:
             ["--standalone", "x.py", "--policy", "os:getcwd"],
             "posix is not written in a Python file",
         ),
+        (
+            ["--standalone", "x.py", "--scenario", "mixed-8", "--policy", "by-model"],
+            "(--robot i to",
+        ),
+        (["--standalone", "x.py", "--robot", "8"], "--robot 8: robot is 8; it must be an integer"),
         (["--standalone", "folder.py"], "--standalone folder.py: is a folder; name a file"),
         (["--standalone", "own.py"], "--standalone own.py: is there already, and not of this"),
         (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),

@@ -289,15 +289,6 @@ def test_mixed_team_in_interfaces_and_files(tmp_path):
         np.testing.assert_array_equal(row, vector[0, env.index(name)])
 
 
-@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains", "links"])
-def test_certificate_and_filters_refuse_mixed_teams(by):
-    margin = {"min_alignment": 0.2} if by in ("heading", "tank") else {}
-    found = rv.certificate("mixed-8", by=by, **margin)
-    assert not found.guaranteed and "no theorem covers mixed robots" in found.theorem
-    with pytest.raises(ValueError, match="scenario has mixed robots"):
-        rv.vector.HeadingVectorWrapper(rv.make_vec("mixed-8", num_envs=2))
-
-
 @pytest.mark.parametrize(
     ("models", "dim", "message"),
     [
