@@ -4,6 +4,7 @@ import importlib
 
 import numpy as np
 import pytest
+from parameters import slow
 
 import rendezvous_env as rv
 from rendezvous_env.obstacles import obstacle_set
@@ -72,9 +73,12 @@ def _shapes(kind, dim):
     return world, form, form.with_edges(arrays)
 
 
+SHAPES = [("capsule", 2), ("polygon", 2), ("sphere", 3), ("capsule", 3)]
+
+
 @pytest.mark.parametrize(
     ("kind", "dim"),
-    [("disc", 2), ("capsule", 2), ("polygon", 2), ("sphere", 3), ("capsule", 3)],
+    [("disc", 2), *(slow(*one) for one in SHAPES)],
 )
 def test_shapes_equal_the_kernels(kind, dim, rj):
     world, shapes, arrays = _shapes(kind, dim)
@@ -109,6 +113,7 @@ def test_shapes_equal_the_kernels(kind, dim, rj):
             np.testing.assert_allclose(found, out, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_skins_of_balls_equal_the_kernels(rj):
     import jax.numpy as jnp
 
@@ -168,7 +173,7 @@ def test_random_rotations_equal_the_kernels_when_compiled(kernel, rj):
     np.testing.assert_allclose(np.asarray(found), expected, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, slow(3)])
 def test_certified_headings_equal_the_filter(dim, rj):
     form = importlib.import_module("rendezvous_env.jax.arrays.array_form").array_form
     rng = np.random.default_rng(1)

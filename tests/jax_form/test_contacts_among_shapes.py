@@ -4,6 +4,7 @@ import importlib
 
 import numpy as np
 import pytest
+from parameters import slow
 
 import rendezvous_env as rv
 from rendezvous_env.graphs.merging import merge_swept
@@ -29,6 +30,7 @@ WORLDS = {
         rv.Sphere((0.0, 0.0, 0.0), 0.9),
     ],
 }
+LONG = [slow("mixed", SLIDE), slow("mixed", STOP), slow("space", SLIDE)]
 
 
 def fields_of(name):
@@ -42,15 +44,7 @@ def fields_of(name):
     return fields.Fields(scenario, jnp.float64), world
 
 
-@pytest.mark.parametrize(
-    ("name", "mode"),
-    [
-        ("seams", SLIDE),
-        pytest.param("mixed", SLIDE, marks=pytest.mark.slow),
-        pytest.param("mixed", STOP, marks=pytest.mark.slow),
-        pytest.param("space", SLIDE, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("name", "mode"), [("seams", SLIDE), *LONG])
 def test_contacts_equal_the_kernels(name, mode, rj):
     import jax
 
@@ -83,15 +77,8 @@ def test_contacts_equal_the_kernels(name, mode, rj):
     assert 50 < np.sum(met) < len(points)
 
 
-@pytest.mark.parametrize(
-    ("name", "mode"),
-    [
-        ("discs", SLIDE),
-        pytest.param("mixed", SLIDE, marks=pytest.mark.slow),
-        pytest.param("mixed", STOP, marks=pytest.mark.slow),
-        pytest.param("space", SLIDE, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "mode"), [("discs", SLIDE), *LONG])
 def test_gradients_of_contacts_equal_differences(name, mode, rj):
     """Where differences on both sides agree, so that no decision changes; elsewhere finite."""
     import jax
@@ -134,6 +121,7 @@ def test_gradients_of_contacts_equal_differences(name, mode, rj):
         assert chosen.sum() > 9, "hardly a contact"
 
 
+@pytest.mark.slow
 def test_pairs_behind_obstacles_do_not_merge(rj):
     import jax
     import jax.numpy as jnp

@@ -22,7 +22,7 @@ from ..arrays.random_streams import Word, numbers, uniform
 from ..arrays.selection import divided
 from .shapes import COARSE, EXACT, Shapes, World
 
-MOST_SPHERES = 16
+MAX_SPHERES = 16
 """Spheres of a random field in 3-D: skins depend on all triples of them."""
 
 
