@@ -24,7 +24,7 @@ for name, usual in sizes.items():  # steps are decisions in an update, reports c
     parser.add_argument(f"--{name}", type=int, default=usual)
 given = parser.parse_args()
 GAMMA, LAMBDA, CLIP, MINIBATCHES, ENTROPY, RATE = 0.996, 0.95, 0.2, 8, 2e-3, 1e-3
-HOLD, PLAYED, REST = 4, 2, 10  # steps of a decision, and of a held-out one; decisions
+HOLD, PLAYED, REST = 4, 1, 10  # steps of a decision, and of a held-out one; decisions
 CONTACT, WIDTH, HELD_OUT = 1.0, 32, 1_000_000  # cost, at most once in REST; units; seed
 ANGLES = 0.1 * jnp.array(sorted(range(-15, 16), key=abs))  # rad from f
 HEADINGS = jnp.stack([jnp.cos(ANGLES), jnp.sin(ANGLES)], axis=-1)
