@@ -71,8 +71,10 @@ def _turn_four(numbers, x, y, k, shown, skipped):
     three = _turned(numbers[k + _4], numbers[k + _5], x, y)
     four = _turned(numbers[k + _6], numbers[k + _7], x, y)
     to = k + skipped
-    shown[to], shown[to + _1], shown[to + _2], shown[to + _3] = *one, *two
-    shown[to + _4], shown[to + _5], shown[to + _6], shown[to + _7] = *three, *four
+    shown[to], shown[to + _1] = one
+    shown[to + _2], shown[to + _3] = two
+    shown[to + _4], shown[to + _5] = three
+    shown[to + _6], shown[to + _7] = four
 
 
 @inner_kernel(inline="code")
