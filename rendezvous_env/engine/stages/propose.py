@@ -11,6 +11,7 @@ from ...robots.motion import (
     STOPPED,
     constants_of_robot,
     frame_of,
+    is_steady,
     propose,
     update_memory,
 )
@@ -44,24 +45,31 @@ def propose_motion(
     possible contact and returns their number. Nothing else changes.
 
     ``reach`` is the square distance of neighbours and the clearance below which contact is
-    possible. Actions are (B, n, a); those of ended environments and of merged robots count as zero.
+    possible. Actions are (B, n, a), or (0, n, a) if ``moves`` has them already; those of ended
+    environments and of merged robots count as zero.
     """
-    lanes, d, n = lane_count(width), len(robot.axes), robots.shape[1]
-    near = 0.0
+    lanes, n, near = lane_count(width), robots.shape[1], 0.0
     for block in range(first, last):
         start, move, environment = block * lanes, moves[block - first], environments[block]
-        given = actions[start : min(start + lanes, len(actions))]
-        count = len(given)
+        count = min(lanes, len(merged_into) - start)
         for i in range(n):
-            for k in range(len(robot.inputs)):
-                row, values = move[i], given[:, i, k]
-                for lane in range(len(values)):
-                    row[(d + 1 + k) * lanes + lane] = values[lane]
+            load_actions(width, robot, i, start, actions, move[i])
         for i in range(n):
             _propose_robot(width, robot, i, robots[block, i], move[i])
         _hold_still(width, move, count, start, environment, merged_into)
         near += _begin_step(width, reach, environment)
     return near
+
+
+@inner_kernel(inline="code")
+def load_actions(width, robot, i, start, actions, move):
+    """Copy the actions of robot i, (B, n, a), from environment ``start`` on to its motion."""
+    lanes, d = lane_count(width), len(robot.axes)
+    given = actions[start : min(start + lanes, len(actions))]
+    for k in range(len(robot.inputs)):
+        values = given[:, i, k]
+        for lane in range(len(values)):
+            move[(d + 1 + k) * lanes + lane] = values[lane]
 
 
 @inner_kernel(inline="code")
@@ -156,7 +164,7 @@ def update_robots(
         for i in range(robots.shape[1]):
             state, move = robots[block, i], moves[block - first, i]
             model = constants_of_robot(robot.model, robot.limits, i)
-            for lane in range(count):
+            for lane in range(0 if is_steady(model) else count):
                 if environments[block, STATUS * lanes + lane] == RUNNING:
                     frame = load_fields(state, d, lane, lanes, robot.entries)
                     after = update_memory(
