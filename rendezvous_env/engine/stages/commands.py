@@ -252,9 +252,13 @@ def disturb_commands(
         for i in range(n):
             state, move = robots[block, i], moving[i]
             load_actions(width, robot, i, start, commands, move)
+            opposes = rules.opposes and _any_marked(width, _ADVERSE, move)
+            fails = rules.fails and _any_marked(width, _CRASHED, move)
+            if not (opposes or fails or rules.draws):
+                continue
             _find_shares(width, robot, rules, i * DRAWS, keys[0], move, work)
             _disturb(width, robot, rules, i * DRAWS, keys[0], words, state, work, move)
-            if rules.opposes and _any_marked(width, _ADVERSE, move):
+            if opposes:
                 _oppose(width, robot, rules, nets[block, i], work, move)
             _execute(width, robot, move, work)
 
