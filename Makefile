@@ -1,6 +1,6 @@
 # make compare: the main job.  make test: linters, types, fast tests: every promise once.  Each sets
 # up .venv by itself; compare needs no extra, the others add all of them, as make install does.
-# make test-all: make test, then make again, test-slow, test-kernels and test-adapters.
+# make test-all: make test, then make test-slow, test-kernels and test-adapters.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -10,12 +10,13 @@ export OMP_WAIT_POLICY := PASSIVE
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
 
-# two workers, each of which takes a whole file; tests/conftest.py says in which order
-BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
+# two workers, or WORKERS=4, each of which takes a whole file; tests/conftest.py says in which order
+WORKERS ?= 2
+SHARED := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
-.PHONY: compare install learners test test-all fast again test-slow test-kernels test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install learners test test-all fast test-slow test-kernels test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
@@ -30,33 +31,29 @@ test: .venv/installed
 	$(MAKE) --jobs=2 types fast
 
 fast: style
-	$(BIN)/python -m pytest -q $(BY_TWO)
+	$(BIN)/python -m pytest -q $(SHARED)
 
 # with --jobs=2 the learners' environments are installed while the fast tests run
 test-all: test learners
-	$(MAKE) again
 	$(MAKE) test-slow
 	$(MAKE) test-kernels
 	$(MAKE) test-adapters
 
-# the tests that run every kernel, once more: kernels come from the disk now
-again: .venv/installed
-	$(BIN)/python -m pytest -q -m 'kernels and not slow' $(BY_TWO)
-
+# with the tests that run every kernel, once more: kernels come from the disk now
 test-slow: .venv/installed
-	$(BIN)/python -m pytest -q -m slow $(BY_TWO)
+	$(BIN)/python -m pytest -q -m 'slow or kernels' $(SHARED)
 
 # the same with every index checked; kernels that never ran are named and fail
 test-kernels: .venv/installed
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m kernels --every-kernel $(BY_TWO)
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m kernels --every-kernel $(SHARED)
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed
-	.venv-floors/bin/python -m pytest -q $(BY_TWO) tests/envs tests/adapters tests/scenario
+	.venv-floors/bin/python -m pytest -q $(SHARED) tests/envs tests/adapters tests/scenario
 
 # the newer Pythons, those of them that this machine has
 test-pythons: $(PYTHONS:%=.venv-%/installed)
-	for python in $(PYTHONS); do .venv-$$python/bin/python -m pytest -q $(BY_TWO) \
+	for python in $(PYTHONS); do .venv-$$python/bin/python -m pytest -q $(SHARED) \
 		tests/envs tests/engine tests/policies tests/scenario || exit 1; done
 
 # TorchRL with BenchMARL, and all others that have a folder in tests/adapters; slow tests too

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, known_fields, raise_invalid
+from rendezvous_env.checks import check_shape, raise_invalid
 from rendezvous_env.envs.guarantee import check_period, settings_of
+from rendezvous_env.field_checks import known_fields
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.safety.settings import MAX_TURN_RATE, TANK_MARGIN

@@ -11,17 +11,11 @@ from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkab
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import (
-    Registry,
-    bools,
-    choice,
-    closest_match,
-    known_fields,
-    raise_invalid,
-    short_repr,
-)
+from rendezvous_env.checks import Registry, bools, choice, raise_invalid, short_repr
+from rendezvous_env.field_checks import known_fields
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
+from rendezvous_env.suggestions import closest_match
 
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]

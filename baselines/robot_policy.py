@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import positive, raise_invalid
+from rendezvous_env.checks import check_int, positive, raise_invalid
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from . import policy as registry
+from .laws.paper_laws import LAW_OF_MODEL
 from .policy import Policy, RealTimePolicy
 from .robot_sight import RobotSight
 from .steering import check_steerable
@@ -111,18 +112,27 @@ class RobotPolicy(OneRobot):
             a name or a file.
         policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
             of a run, a checkpoint or an exported network, as a Path or as "learned:PATH"; or a
-            policy.
+            policy, which controls ``scenario.of_robot(robot)``.
+        robot: index of the robot if models or limits of robots differ. It then runs policies for
+            its own model, and "by-model" is the law of that model.
         options: options of a named policy. Errors are those of ``act``.
     """
 
     def __init__(
-        self, scenario: ScenarioLike, policy: str | Path | Policy = "learned", **options: Any
+        self,
+        scenario: ScenarioLike,
+        policy: str | Path | Policy = "learned",
+        *,
+        robot: int | None = None,
+        **options: Any,
     ) -> None:
-        scenario = resolve(scenario)
-        check_one_robot(scenario)
         if isinstance(policy, Path):
             policy = f"{registry.AT_PATH}{policy}"
+        name = policy if isinstance(policy, str) else ""
+        scenario, name = of_one_robot(resolve(scenario), name, robot)
+        check_one_robot(scenario)
         if isinstance(policy, str):
+            policy = name
             name, policy = policy, registry.make(policy, scenario, **options)
             check_kind(name)
         elif not callable(policy):
@@ -134,12 +144,27 @@ class RobotPolicy(OneRobot):
 
 def check_one_robot(scenario: Scenario) -> None:
     """Raise a ValueError for robots that cannot be steered, or whose limits or models differ."""
-    check_steerable(scenario, "a RobotPolicy steers")
+    if not scenario.mixes_models:
+        check_steerable(scenario, "a RobotPolicy steers")
     if scenario.per_robot:
         raise ValueError(
-            f"scenario has a list of {scenario.per_robot[0]}; a RobotPolicy needs the scenario of "
-            "one robot: scenario.of_robot(i)"
+            f"scenario has a list of {scenario.per_robot[0]}; a RobotPolicy needs the index of one "
+            "robot: pass robot=i (--robot i to export)"
         )
+
+
+def of_one_robot(scenario: Scenario, policy: str, robot: int | None) -> tuple[Scenario, str]:
+    """Scenario and policy, by name, of a robot; None is any, as all are equal.
+
+    "by-model" in a mixed team is the law of the robot's model. A ValueError for an index out of
+    range.
+    """
+    if robot is None:
+        return scenario, policy
+    own = scenario.of_robot(check_int("robot", robot, 0, scenario.n_robots - 1))
+    if policy == "by-model" and scenario.mixes_models:
+        policy = LAW_OF_MODEL.get(str(own.robot_model), policy)
+    return own, policy
 
 
 def common_gain(scenario: Scenario) -> float:

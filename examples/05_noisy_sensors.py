@@ -29,7 +29,17 @@ SENSORS = {
     "view 3π/2": Sensing(field_of_view=1.5 * math.pi),
 }
 NOISES = {"exact": 0.0, "noise 0.05": 0.05, "noise 0.1": 0.1, "noise 0.2": 0.2}
-COLUMNS = ("scenario", "sensor", "policy", "episodes", "success", "clean", "low", "high", "time")
+COLUMNS = (
+    "scenario",
+    "sensor",
+    "policy",
+    "episodes",
+    "success",
+    "collision_free",
+    "low",
+    "high",
+    "time",
+)
 
 
 def make(name, scenario):
@@ -50,9 +60,9 @@ def row(name, label, policy, given):
     played, _ = episodes.play(scenario, lambda: make(policy, scenario), margin=None, **counts)
     limit = scenario.max_steps * scenario.tau
     median, _ = statistics.censored_median(played.time, played.success, limit)
-    success, clean = played.success.mean(), played.clean.mean()
-    ends = statistics.fraction_interval(played.clean)
-    values = (name, label, policy, given.episodes, success, clean, *ends, median)
+    success, free = played.success.mean(), played.collision_free.mean()
+    ends = statistics.fraction_interval(played.collision_free)
+    values = (name, label, policy, given.episodes, success, free, *ends, median)
     return dict(zip(COLUMNS, values, strict=True))
 
 
@@ -66,10 +76,12 @@ def draw(rows, path):
         for policy in dict.fromkeys(row["policy"] for row in rows):
             mine = [r for r in rows if (r["scenario"], r["policy"]) == (name, policy)]
             mine = [r for r in mine if r["sensor"] in NOISES]
-            clean, low, high = ([100 * r[key] for r in mine] for key in ("clean", "low", "high"))
-            spread = [np.subtract(clean, low), np.subtract(high, clean)]
+            free, *ends = (
+                [100 * r[key] for r in mine] for key in ("collision_free", "low", "high")
+            )
+            spread = [np.subtract(free, ends[0]), np.subtract(ends[1], free)]
             axes.errorbar(
-                [NOISES[r["sensor"]] for r in mine], clean, spread, label=policy,
+                [NOISES[r["sensor"]] for r in mine], free, spread, label=policy,
                 color=figures.policy_colour(policy), marker=figures.policy_marker(policy),
             )  # fmt: skip
         axes.set(title=name, xlabel="noise / rad")
@@ -95,7 +107,12 @@ for name in given.scenarios:
     print("|---" * (1 + len(given.sensors)) + "|")
     for policy in given.policies:
         own = [row(name, label, policy, given) for label in given.sensors]
-        print(f"| {policy} |", " | ".join(f"{100 * r['clean']:.1f}" for r in own), "|", flush=True)
+        print(
+            f"| {policy} |",
+            " | ".join(f"{100 * r['collision_free']:.1f}" for r in own),
+            "|",
+            flush=True,
+        )
         found += own
 if given.out:
     results.write_csv(given.out, found)

@@ -65,5 +65,5 @@ experiment.evaluate()
 experiment.run()
 first, *_, last = held_out.evaluations
 for moment, found in (("before", first), ("after", last)):
-    print(f"{moment}: {found.met:.1%} met, {found.clean:.1%} collision-free, ", end="")
+    print(f"{moment}: {found.met:.1%} met, {found.collision_free:.1%} collision-free, ", end="")
     print(f"median {found.median_time:.2f} s")

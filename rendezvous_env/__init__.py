@@ -9,8 +9,9 @@ from typing import Any as _Any
 
 from . import graphs, rendezvous_v0, vector
 from .compilation import kernel
+from .deprecation import warn_renamed as _warn_renamed
 from .envs.gymnasium_env import make_vec, register
-from .envs.training import register_preset as _hand_in_preset
+from .envs.training import register_preset as _register_preset
 from .envs.training_parallel_env import training_env
 from .envs.wrappers import (
     EnergyTankWrapper,
@@ -40,7 +41,7 @@ from .safety.theorems.certificate import Certificate, certificate
 from .scenario import scenarios
 from .scenario.observation_layout import ObservationLayout
 from .scenario.scenario import Scenario, TimeStepWarning
-from .sensors.custom_sensors import Seen, sensor_imperfection
+from .sensors.custom_sensors import ObservationBatch, sensor_imperfection
 from .sensors.sensing import Sensing
 from .simulator import Simulator
 from .trajectory import Trajectory, rollout
@@ -49,14 +50,21 @@ __version__ = "0.2.0"
 __all__ = [
     "FREE", "SLID", "STOPPED", "Activation", "Capsule", "Certificate", "Disc",
     "EnergyTankWrapper", "Events", "GainWrapper", "GuaranteeWrapper", "HeadingVectorWrapper",
-    "LinkKeepingWrapper", "Motion", "Moving", "ObservationLayout", "ObstacleField", "Polygon",
-    "RewardStep", "RewardWeights", "RobotModel", "SafetyFilter", "Scenario", "Seen", "Sensing",
-    "Simulator", "Sphere", "TimeStepWarning", "Trajectory", "WallField", "certificate",
-    "certified_heading",
-    "describe_motion", "graphs", "kernel", "make_vec", "parallel_env", "register_filter",
-    "register_robot_model", "rendezvous_v0", "reward_term", "rollout", "scenarios",
-    "sensor_imperfection", "training_env", "vector",
+    "LinkKeepingWrapper", "Motion", "Moving", "ObservationBatch", "ObservationLayout",
+    "ObstacleField", "Polygon", "RewardStep", "RewardWeights", "RobotModel", "SafetyFilter",
+    "Scenario", "Sensing", "Simulator", "Sphere", "TimeStepWarning", "Trajectory", "WallField",
+    "certificate", "certified_heading", "describe_motion", "graphs", "kernel", "make_vec",
+    "parallel_env", "register_filter", "register_robot_model", "rendezvous_v0", "reward_term",
+    "rollout", "scenarios", "sensor_imperfection", "training_env", "vector",
 ]  # fmt: skip
+
+
+def __getattr__(name: str) -> _Any:
+    """Former names."""
+    if name == "Seen":
+        _warn_renamed("rv.Seen", "rv.ObservationBatch")
+        return ObservationBatch
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
@@ -70,6 +78,6 @@ def _shipped_preset() -> _Any:
 
 
 _install_safe_names()
-_hand_in_preset(_shipped_preset)
+_register_preset(_shipped_preset)
 rendezvous_v0.register()
 register()

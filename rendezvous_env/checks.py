@@ -1,57 +1,18 @@
 """Validation of arguments; an error gives the field, its value and a remedy."""
 
-import dataclasses
-import difflib
-import functools
-import inspect
 import math
-import re
 import reprlib
-import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from importlib import import_module
-from typing import Annotated, Any, Literal, NoReturn, TypeVar, cast
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .limits import LARGEST, SMALLEST
+from .suggestions import closest_match
 
-_LONGEST_WORD = 100
 _MAX_DIFFERING = 3
-_STEPS = ("max_steps", "max_episode_steps", "horizon", "episode_length")
-_SYNONYMS = {
-    "n_robots": ("n", "n_agents", "num_agents", "num_robots", "team_size"),
-    "dim": ("d", "dimension", "ndim", "n_dims"),
-    "robot_model": ("model", "dynamics", "kinematics"),
-    "merge_radius": ("r", "rendezvous_radius", "meeting_radius", "capture_radius"),
-    "time_step": ("dt", "tau", "timestep", "step_size", "certified_step"),
-    "max_cycles": _STEPS,
-    "time_limit": _STEPS,
-    "max_speed": ("v_max", "speed_limit", "speed_limits", "min_speed_limit", "max_velocity"),
-    "max_turn_rate": ("turn_limit", "min_turn_limit", "omega_max", "max_angular_velocity"),
-    "max_acceleration": ("a_max", "acceleration_limit"),
-    "spawn_size": ("spawn_edges", "spawn_diagonal", "arena_size", "world_size"),
-    "obstacle_contact": ("contact_mode", "collision", "collisions"),
-    "sensing": ("sensor", "sensors"),
-    "graph": ("sensing_graph", "topology", "adjacency"),
-    "positions": ("start_positions", "initial_positions"),
-    "headings": ("start_headings", "initial_headings"),
-    "weights": ("graph", "adjacency", "edge_weights"),
-    "cycle": ("ring", "circle", "loop"),
-    "path": ("line", "chain"),
-    "complete": ("full", "fully_connected", "all", "clique"),
-    "erdos_renyi": ("gnp", "er"),
-    "proximity": ("disk", "geometric"),
-    "error": ("adversarial_error",),
-}
-"""Names of the same concepts in other packages, and of properties that follow from a field."""
-_Made = TypeVar("_Made")
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-_DERIVED = (property, functools.cached_property)
 
 
 class UnknownFieldError(TypeError, ValueError):
@@ -301,75 +262,6 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
     return array
 
 
-def nearest_word(
-    word: Any, words: Iterable[str], cutoff: float = 0.65, parts: bool = True
-) -> str | None:
-    """Known word for ``word``: a synonym, a similar word, or one that contains it.
-
-    A similar word has a similarity of at least ``cutoff`` (at most 1). Parts are separated by - and
-    _; with ``parts=False`` they do not count.
-    """
-    if not isinstance(word, str) or len(word) > _LONGEST_WORD:
-        return None
-    known = list(words)
-    if alike := [one for one in known if _plain(one) == _plain(word)]:
-        return alike[0]
-    if meant := [ours for ours, theirs in _SYNONYMS.items() if word in theirs and ours in known]:
-        return meant[0]
-    having = [one for one in known if parts and word in re.split("[-_]", one)]
-    close = difflib.get_close_matches(word, known, 1, cutoff)
-    close = close or difflib.get_close_matches(word, having, 1, 0.0)
-    return close[0] if close else None
-
-
-def _plain(word: str) -> str:
-    return word.lower().replace("-", "_")
-
-
-def closest_match(word: Any, words: Iterable[str], before: str = "", after: str = "") -> str:
-    """Question that suggests the ``nearest_word``, between two texts; empty without one."""
-    near = nearest_word(word, words)
-    return f"{before}did you mean {near!r}?{after}" if near else ""
-
-
-def known_fields(
-    given: Iterable[Any],
-    known: Iterable[str],
-    what: str,
-    noun: str = "field",
-    explain: Callable[[Any], str] = lambda key: "",
-) -> None:
-    """Raise an UnknownFieldError for an unknown field, with the most similar known one.
-
-    ``explain`` may give another hint for a field; empty for none.
-    """
-    known = list(known)
-    for key in given:
-        if key not in known:
-            hint = (
-                explain(key)
-                or closest_match(key, known)
-                or f"known are {', '.join(known) or 'none'}"
-            )
-            if key in _STEPS and nearest_word(key, known) == "time_limit":
-                hint += " it is in s, not in steps"
-            raise UnknownFieldError(f"{what} has no {noun} {short_repr(key)}; {hint}")
-
-
-def known_arguments(function: _Function) -> _Function:
-    """Decorate a function to suggest the most similar argument for unknown keywords."""
-    kinds = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    given = inspect.signature(function).parameters.values()
-    names = [one.name for one in given if one.kind in kinds and one.name not in ("self", "cls")]
-
-    @functools.wraps(function)
-    def checked(*args: Any, **arguments: Any) -> Any:
-        known_fields(arguments, names, function.__name__, "argument")
-        return function(*args, **arguments)
-
-    return cast(_Function, checked)
-
-
 def load(library: str, what: str, extra: str) -> Any:
     """Import a library of an extra; an ImportError gives its purpose and how to install it."""
     try:
@@ -377,107 +269,6 @@ def load(library: str, what: str, extra: str) -> Any:
     except ImportError as error:
         remedy = f"pip install 'rendezvous-env[{extra}]'"
         raise ImportError(f"{what} needs {library}: {remedy}", name=library) from error
-
-
-Metres = Annotated[float, partial(positive, unit="m")]
-Seconds = Annotated[float, partial(positive, unit="s")]
-
-
-def from_plain(made: type[_Made], plain: Mapping[str, Any], what: str) -> _Made:
-    """Dataclass from plain data, with defaults for absent keys; unknown keys are rejected."""
-    _known_fields_of(made, plain, what)
-    return made(**plain)
-
-
-def _known_fields_of(made: Any, given: Iterable[Any], what: str) -> None:
-    """As ``known_fields`` for a dataclass, with hints on properties and on fields of its parts."""
-    names = _names_of(made)
-
-    def explain(key: Any) -> str:
-        if nearest_word(key, names, cutoff=1.0, parts=False):
-            return ""
-        if isinstance(inspect.getattr_static(made, str(key), None), _DERIVED):
-            return "it follows from other fields and cannot be set"
-        parts = {name: getattr(check, "made", None) for name, check in _checks_of(made).items()}
-        having = [name for name, part in parts.items() if part and key in _names_of(part)]
-        if not having or nearest_word(key, names):
-            return ""
-        return f"it is a field of {' and of '.join(having)}; give it there"
-
-    known_fields(given, names, what, explain=explain)
-
-
-def _names_of(made: Any) -> list[str]:
-    return [field.name for field in dataclasses.fields(made)]
-
-
-def of_class(made: Any) -> Callable[[str, Any], Any]:
-    """Check for an instance of a class, or a table of its fields."""
-
-    def check(field: str, value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return from_plain(made, value, field)
-        if not isinstance(value, made):
-            raise_invalid(field, value, f"a {made.__name__}, or a table of its fields")
-        return value
-
-    setattr(check, "made", made)  # noqa: B010 - mypy forbids the plain assignment
-    return check
-
-
-def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
-    """Decorate a dataclass to suggest the most similar field for unknown keywords."""
-
-    def decorate(made: type[_Made]) -> type[_Made]:
-        make = made.__init__
-
-        @functools.wraps(make)
-        def checked(self: _Made, *args: Any, **fields: Any) -> None:
-            _known_fields_of(made, fields, what)
-            make(self, *args, **fields)
-
-        setattr(made, "__init__", checked)  # noqa: B010 - mypy forbids the plain assignment
-        return made
-
-    return decorate
-
-
-def check_fields(made: Any, label: str = "{}") -> None:
-    """Validate and convert the fields of a frozen dataclass, in its ``__post_init__``.
-
-    NumPy scalars become Python ones, and each value passes the check of its annotation. None is
-    kept where it is the default.
-
-    ``Annotated[kind, check]`` gives a function of field and value that returns the stored value.
-    bool, Literal, float and str correspond to ``flag``, ``choice``, ``number`` and ``text``.
-    Messages name a field by ``label`` of its name.
-    """
-    checks = _checks_of(cast(Any, type(made)))
-    for field in dataclasses.fields(made):
-        value, check = getattr(made, field.name), checks[field.name]
-        if isinstance(value, np.generic):
-            value = value.item()
-        if check is not None and not (value is None and field.default is None):
-            value = check(label.format(field.name), value)
-        object.__setattr__(made, field.name, value)
-
-
-@functools.cache
-def _checks_of(made: type[Any]) -> dict[str, Callable[[str, Any], Any] | None]:
-    hints = typing.get_type_hints(made, include_extras=True)
-    return {field.name: _check_of(hints[field.name]) for field in dataclasses.fields(made)}
-
-
-def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:
-    kind, parts = typing.get_origin(hint), typing.get_args(hint)
-    if kind is Annotated:
-        return cast(Callable[[str, Any], Any], hint.__metadata__[0])
-    if kind is Literal:
-        return partial(choice, choices=parts)
-    if type(None) in parts:
-        return _check_of(parts[0])
-    by_kind: dict[Any, Any] = {bool: flag, float: number, str: text}
-    return by_kind.get(hint)
 
 
 class Registry(dict[str, Any]):

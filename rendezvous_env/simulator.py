@@ -34,7 +34,7 @@ from .rewards.custom_terms import RewardStep, add_custom_terms
 from .robots.robot_models import is_custom
 from .scenario.scenarios import ScenarioLike, resolve
 from .scenario.start_options import StartOptions, parse_options, seeds_of_environments
-from .sensors.custom_sensors import Seen, apply_custom
+from .sensors.custom_sensors import ObservationBatch, apply_custom
 from .state_view import StateView, read_only
 
 
@@ -105,7 +105,7 @@ class Simulator(StateView):
                 None in it keeps that environment's seed. None continues with the next episode of
                 every seed, or samples a seed if there is none.
             options: "positions" (n, d) m, "headings" (n,) rad or (n, 2) yaw and pitch, "frames" (n,
-                d, d) rotations, "weights" (n, n) m/s, each with a leading axis B if environments
+                d, d) rotations, "weights" (n, n) m/s. Each has a leading axis B if environments
                 differ. "obstacles" apply to all environments. None counts as absent.
             mask: (B,), environments to reset; None is all.
 
@@ -327,7 +327,10 @@ class Simulator(StateView):
         if self.scenario.sensing.custom:
             rows, steps = output.observations[which], self.steps[which]
             seeds, numbers = self._state.seed[which], self._state.number[which]
-            apply_custom(Seen(self._sensed, rows, steps, seeds, numbers, self.positions[which]))
+            seen = ObservationBatch(
+                self._sensed, rows, steps, seeds, numbers, self.positions[which]
+            )
+            apply_custom(seen)
             output.observations[which] = rows
 
     def check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:

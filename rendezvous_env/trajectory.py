@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import trajectory_formats, trajectory_views
-from .checks import floats, known_arguments, raise_invalid, raise_other_scenario, short_repr
+from .checks import floats, raise_invalid, raise_other_scenario, short_repr
 from .engine.memory import RENDEZVOUS, RUNNING
+from .field_checks import known_arguments
 from .field_docs import lists_fields
 from .outcome import StepOutput
 from .scenario.scenario import Scenario

@@ -137,11 +137,19 @@ def _watch(env: Any, spent: Counter[str], clock: Clock) -> None:
 
     def watch(part: str, owner: Any, name: str) -> None:
         method = getattr(owner, name)
-        calls_of = lambda *given: [timed(part, call) for call in method(*given)]  # noqa: E731
+
+        def calls_of(*given: Any) -> list[Any]:
+            """The same calls, which the engine lists as a function and its arguments."""
+            calls = method(*given)
+            if owner is not stages:
+                return [timed(part, call) for call in calls]
+            return [(timed(part, partial(*call)),) for call in calls]
+
         setattr(owner, name, calls_of)
 
+    stages = env.unwrapped.simulator._runner._stages
     teams = getattr(env, "env", env) if hasattr(env, "teams") else env
-    watch("physics", env.unwrapped.simulator._runner._stages, "calls")
+    watch("physics", stages, "calls")
     for name in ("apply_calls", "update_calls"):
         watch("safety filter", teams.filter, name)
     if (guided := getattr(teams, "guided", None)) is None:

@@ -71,3 +71,10 @@ def test_config_accepts_former_names_in_calls_and_in_stored_runs():
     stored["num_teams"] = stored.pop("num_envs")
     stored["touch_penalty"] = stored.pop("contact_penalty")
     assert Config.from_plain(stored) == config
+
+
+def test_former_name_of_observation_batch_warns():
+    with pytest.warns(DeprecationWarning, match="rv.Seen is called rv.ObservationBatch now"):
+        assert rv.Seen is rv.ObservationBatch
+    with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
+        _ = rv.Nothing

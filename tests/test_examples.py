@@ -77,7 +77,7 @@ def test_noisy_sensors_example_runs(tmp_path):
     found = results.read_csv(table)
     assert [row["policy"] for row in found[::2]] == list(policies)
     for line, exact, noisy in zip(rows, found[::2], found[1::2], strict=True):
-        clean = [f"{100 * float(row['clean']):.1f}" for row in (exact, noisy)]
+        clean = [f"{100 * float(row['collision_free']):.1f}" for row in (exact, noisy)]
         assert line == f"| {exact['policy']} | {clean[0]} | {clean[1]} |"
     times = {row["policy"]: float(row["time"]) for row in found if row["sensor"] == "noise 0.2"}
     assert times["learned"] != times["learned@0.6"]

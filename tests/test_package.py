@@ -35,10 +35,12 @@ ROOMS = (
         "kernel_cache",
         "checks",
         "deprecation",
+        "field_checks",
         "field_docs",
         "field_repr",
         "inner_code",
         "limits",
+        "suggestions",
     },
     {"physics"},
     {"robots", "rewards"},
@@ -266,6 +268,7 @@ for policy in (own, baselines.make("learned", scenario), baselines.make("learned
 """
 
 
+@pytest.mark.slow
 def test_user_train_script_can_use_the_library(tmp_path):
     """Also when it is imported, and thus registered under that module name."""
     for name in ("compare.py", "graphs.py", "kernels.py", "policy.py"):
@@ -275,6 +278,7 @@ def test_user_train_script_can_use_the_library(tmp_path):
     assert said.split() == ["True"] * 3
 
 
+@pytest.mark.slow
 def test_console_script_works_beside_train_py(tmp_path):
     """It also finds a policy in a neighbouring file."""
     (tmp_path / "train.py").write_text("raise RuntimeError('the wrong train')\n")

@@ -1,6 +1,7 @@
 """Prose of pages and docstrings: sentence length, banned words, vocabulary, spelling."""
 
 import ast
+import functools
 import json
 import re
 import subprocess
@@ -22,8 +23,8 @@ LONGEST_CELL = 22
 LONGEST_PAGE = 600
 """Maximum number of words of a page of FEATURE_PAGES, code included."""
 FEATURE_PAGES = (
-    "activation", "certify", "failures", "jax", "maps", "measured-sensors", "moving-obstacles",
-    "play", "quickstart-control", "quickstart-rl", "write-a-law",
+    "activation", "certify", "costs", "failures", "graphs", "jax", "maps", "measured-sensors",
+    "moving-obstacles", "play", "quickstart-control", "quickstart-rl", "rewards", "write-a-law",
 )  # fmt: skip
 """Pages of one feature or task each."""
 BANNED = re.compile(
@@ -45,6 +46,8 @@ VOCABULARY = {
     r"results? cards?": "run record",
 }
 """Home-made terms, and terms of the field that replace them."""
+SECTION = re.compile(r"(Args|Attributes|Examples?|Returns|Yields|Raises):")
+ENTRY = re.compile(r"\*{0,2}\w[\w., *]*: ")
 OPENING = re.compile(r"^(What|Whether|How|Whom|Whose|Who|Which|Where|When|Why)\b")
 
 
@@ -96,8 +99,13 @@ def words(text: str) -> int:
     return sum(bool(re.search(r"[^\W\d_]", token)) for token in text.split())
 
 
-def docstrings() -> Iterator[tuple[str, str]]:
+@functools.cache
+def docstrings() -> tuple[tuple[str, str], ...]:
     """Place and text of every public docstring."""
+    return tuple(_docstrings())
+
+
+def _docstrings() -> Iterator[tuple[str, str]]:
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -107,6 +115,22 @@ def docstrings() -> Iterator[tuple[str, str]]:
                 if found := ast.get_docstring(node):
                     name = getattr(node, "name", "module")
                     yield f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)} {name}", found
+
+
+def prose_of_docstring(docstring: str) -> str:
+    """Docstring as Markdown: each entry of a section is a paragraph; tables of keys are no text."""
+    lines, in_section = [], False
+    for line in re.sub(r"``[^`]*``", "code", docstring).split("\n"):
+        text = line.strip()
+        if text and text == line:
+            in_section = SECTION.fullmatch(line) is not None
+        if re.search(r"\S {3,}\S", line):
+            lines.append("")
+        elif in_section:
+            lines += [""] * bool(ENTRY.match(text) or SECTION.fullmatch(text)) + [text]
+        else:
+            lines.append(line)
+    return "\n".join(lines)
 
 
 def each(pages: list[Path]) -> list[object]:
@@ -141,13 +165,32 @@ def test_feature_page_is_short(name):
     assert sum(bool(re.search(r"\w", word)) for word in text.split()) <= LONGEST_PAGE
 
 
-def test_docstrings_approach_the_rules():
+def test_docstrings_have_no_banned_words_and_openings():
     banned = [
         f"{place}: {match[0]}" for place, text in docstrings() for match in BANNED.finditer(text)
     ]
     openings = [place for place, text in docstrings() if OPENING.match(text)]
     assert not banned, "\n".join(banned)
     assert not openings, "\n".join(openings)
+
+
+def test_docstring_sentences_are_short():
+    long = [
+        f"{place}: {words(one)} words: {one}"
+        for place, text in docstrings()
+        for one in sentences(prose_of_docstring(text))
+        if words(one) > LONGEST
+    ]
+    assert not long, "\n".join(long)
+
+
+def test_reader_splits_entries_of_docstrings():
+    shown = (
+        "Do it.\n\n    y = a b\n\nkey    what\n\nArgs:\n    one: first\n        line.\n    two: b."
+    )
+    assert list(sentences(prose_of_docstring(shown))) == [
+        *("Do it.", "Args:", "one:", "first line.", "two:", "b."),
+    ]
 
 
 def test_changelog_entries_are_short():

@@ -143,7 +143,7 @@ def _check_value(name: str, value: Any) -> None:
 
 def unknown_name(what: str, word: str, known: Iterable[str]) -> UserError:
     """Error for an unknown name, with the known names and the closest match."""
-    from rendezvous_env.checks import closest_match  # not for --help
+    from rendezvous_env.suggestions import closest_match  # not for --help
 
     listed = list(known)
     near = closest_match(word, listed, after=" ")

@@ -22,7 +22,10 @@ from . import interrupts
 from .checks import UserError, flag, format_argument
 
 COMMANDS = {
-    "compare": ("compare.compare", "compare policies on the same starts: table, files, figures"),
+    "compare": (
+        "compare.compare",
+        "compare policies from the same initial conditions: table, files, figures",
+    ),
     "train": ("learn.command", "PPO learns headings that keep the guarantee; stop it, resume it"),
     "leaderboard": ("leaderboard.command", "algorithms × fields × seeds, and what is proven"),
     "list": ("listing", "the scenarios and the policies, a line for each"),

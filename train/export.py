@@ -26,7 +26,7 @@ from rendezvous_env.baselines.learned.onnx_network import (
     digest_of,
 )
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
-from rendezvous_env.baselines.robot_policy import RobotPolicy
+from rendezvous_env.baselines.robot_policy import RobotPolicy, of_one_robot
 from rendezvous_env.baselines.trained_policy import TrainedPolicy
 
 from rendezvous_env.scenario.scenario import Scenario
@@ -45,6 +45,7 @@ _CLOSE = 1e-4
 EXAMPLES = (
     "--policy learned --out out/policy.onnx",
     "--policy learned-tank --standalone robot.py --scenario clutter-8",
+    "--policy by-model --standalone robot_0.py --scenario mixed-8 --robot 0",
 )
 
 
@@ -64,6 +65,8 @@ class Config(Flags):
     scenario: str = "clutter-8"
     """Name or TOML file of the scenario that defines the robot. An ONNX file fits all robots of
     that robot model."""
+    robot: Annotated[int | None, Bounds(0, 10**4)] = None
+    """With --standalone: index of the robot, needed where models or limits of robots differ."""
     checks: Annotated[int, Bounds(1, 10**7)] = 10_000
     """Number of random inputs on which the file is compared with the policy before it is
     written."""
@@ -136,21 +139,24 @@ def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
 def _write_python(config: Config, path: Path) -> str:
     """Write and check a standalone Python file; returns a message."""
     policies.check_names([config.policy])
-    scenario = policies.resolve_scenario(config.scenario)
-    network, build = _network_of(config.policy, scenario), None
-    if policies.is_user_policy(config.policy):
-        build = policies.find_function(config.policy)
+    team = policies.resolve_scenario(config.scenario)
+    with user_error(f"--robot {config.robot}: ", ValueError):
+        scenario, name = of_one_robot(team, config.policy, config.robot)
+    network, build = _network_of(name, scenario), None
+    if policies.is_user_policy(name):
+        build = policies.find_function(name)
     prepare_file(path, "--standalone")
     with atomic(path) as temporary:
         with user_error(f"--policy {config.policy}: ", ValueError):
-            text = standalone.text_of(config.policy, scenario, network, build)
-            robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
+            text = standalone.text_of(name, scenario, network, build)
+            robot = RobotPolicy(scenario, policies.make(name, scenario))
         temporary.write_text(text, encoding="utf-8")
         with _on_board(build is not None):
             apart = standalone.compare(temporary, robot, config.checks)
             _check_close(apart, standalone.CLOSE, "m/s")
+    whose = scenario.name if config.robot is None else f"robot {config.robot} of {scenario.name}"
     return (
-        f" for {scenario.name}, {len(text) / 1e3:.0f} kB, needs NumPy; on {config.checks} drawn "
+        f" for {whose}, {len(text) / 1e3:.0f} kB, needs NumPy; on {config.checks} drawn "
         f"ticks it differs by {apart:.1e} m/s"
     )
 
@@ -239,8 +245,8 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
 
     Inputs: neighbours (N, K, 3), obstacles (N, M, 6), context (N, columns) and, with a recurrent
     unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices) and
-    hidden_next. The metadata contain the settings, the angles of the choices, rad, or their speeds
-    and turn rates in units of the limits, and a digest of the whole file.
+    hidden_next. The metadata contain the settings, a digest of the whole file, and the choices:
+    their angles, rad, or their speeds and turn rates in units of the limits.
 
     Raises:
         ValueError: naming an array that is missing, of another shape or not finite.

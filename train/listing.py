@@ -99,7 +99,7 @@ def describe(scenario: Scenario) -> str:
         parts.append(f"activation {scenario.activation}, hold = {scenario.hold!r}")
     if not scenario.events.none:
         parts.append(f"events with {scenario.events}")
-    parts += ["one start, which is given"] if has_fixed_start(scenario) else []
+    parts += ["given initial condition"] if has_fixed_start(scenario) else []
     return ", ".join(parts)
 
 

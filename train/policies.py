@@ -24,7 +24,7 @@ from rendezvous_env.baselines.policy import AT_PATH, builder_of, file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import closest_match, short_repr
+from rendezvous_env.checks import short_repr
 from rendezvous_env.graphs.random_graphs import FAMILIES, CustomFamily
 from rendezvous_env.rewards.custom_terms import COSTS, TERMS
 from rendezvous_env.robots.robot_models import is_custom
@@ -33,6 +33,7 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.custom_sensors import IMPERFECTIONS
 from rendezvous_env.simulator import Simulator
+from rendezvous_env.suggestions import closest_match
 from rendezvous_env.trajectory import Policy, begin
 
 from .checks import GivenScenario, UserError, unknown_name, user_error

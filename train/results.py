@@ -22,25 +22,26 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .checks import UserError, user_error
 
-FORMAT_VERSION = 6
+FORMAT_VERSION = 7
 """Format version of the files of ``compare``; raised with every visible change."""
-READABLE_VERSIONS = (5, 6)
+READABLE_VERSIONS = (5, 6, 7)
 """Format versions that this version reads."""
 FORMER_COLUMNS = {
     former: former.replace("clean", "collision_free", 1)
     for former in (
-        "clean_success", "clean_low", "clean_high", "clean_difference", "clean_difference_low",
-        "clean_difference_high",
+        "clean", "clean_success", "clean_low", "clean_high", "clean_difference",
+        "clean_difference_low", "clean_difference_high", "clean_planner", "clean_best",
+        "clean_mean", "never_clean",
     )
 }  # fmt: skip
 """Columns by the names that they have in older files."""
 
-_INTERVAL = "of the 95 % interval of the column before it; empty for a single start"
+_INTERVAL = "of the 95 % interval of the column before it; empty for a single episode"
 
 RESULTS = {
     "scenario": "name of the scenario",
     "policy": "name of the policy",
-    "episodes": "number of starts",
+    "episodes": "number of initial conditions",
     "success": "fraction of episodes that met, 0 to 1",
     "success_low": f"lower end {_INTERVAL} (Wilson)",
     "success_high": "upper end of it",
@@ -51,7 +52,7 @@ RESULTS = {
     "median_time": "median time of rendezvous, s; a time-out counts as later than any time",
     "time_low": f"lower end {_INTERVAL} (bootstrap), s",
     "time_high": "upper end of it, s",
-    "time_over_bound": "largest share of the proven time that a start took; empty without a proof",
+    "time_over_bound": "largest share of the proven time in any episode; empty without a proof",
     "path_length": "median way of all robots together, m",
     "min_clearance": "least distance of any robot to an obstacle, m; empty without obstacles",
     "max_rise_between_merges": "largest change of V in a step up to its first merge, m²/s; "
@@ -64,14 +65,14 @@ RESULTS = {
 PAIRED = {
     "scenario": "name of the scenario",
     "policy": "name of the policy",
-    "against": "the policy that it is compared with, start by start",
+    "against": "the policy that it is compared with, episode by episode",
     "collision_free_difference": "collision-free success of the policy minus that of against, "
     "fractions",
-    "collision_free_difference_low": f"lower end {_INTERVAL} (bootstrap; Wilson where all starts "
-    "agree)",
+    "collision_free_difference_low": f"lower end {_INTERVAL} (bootstrap; Wilson where all "
+    "episodes agree)",
     "collision_free_difference_high": "upper end of it",
-    "probability_of_improvement": "chance of doing better on a start, without a collision "
-    "and sooner; a tie counts half",
+    "probability_of_improvement": "chance of doing better in an episode, without a "
+    "collision and sooner; a tie counts half",
     "improvement_low": f"lower end {_INTERVAL} (likewise)",
     "improvement_high": "upper end of it",
 }
@@ -174,9 +175,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def current_columns(columns: Sequence[str]) -> list[str]:
-    """Names of columns, those of older files replaced; other tables have their own "clean_low"."""
-    if not {"clean_success", "clean_difference"} & set(columns):
-        return list(columns)
+    """Names of columns, those of older files replaced."""
     return [FORMER_COLUMNS.get(name, name) for name in columns]
 
 

@@ -251,6 +251,13 @@ class _Damped(Law):
         return damped_law(f, seen.velocity.astype(np.float64), damping=self.damping)
 
 
+LAW_OF_MODEL = {
+    "single_integrator": "bearing-only",
+    "unicycle": "unicycle",
+    "nonholonomic_3d": "nonholonomic-3d",
+    "double_integrator": "damped",
+}
+"""Name of the law of each robot model."""
 _INPUTS: dict[str, Callable[[Array, ObservedRows, float], Array]] = {
     "single_integrator": lambda f, seen, tau: bearing_only_law(f),
     "unicycle": lambda f, seen, tau: unicycle_inputs(f, tau),
@@ -278,6 +285,11 @@ def _is_mixed(scenario: Scenario) -> bool:
 @register("by-model", fits=_is_mixed, kind="law")
 class _ByModel(Law):
     """The law of each robot of a mixed team: (1), (7) and (8), (12) and (17), or damped."""
+
+    @property
+    def guarantee(self) -> dict[str, Any]:
+        """As ``TeamPolicy``."""
+        return {"by": "law"}
 
     def actions(self, f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         scenario = self.scenario

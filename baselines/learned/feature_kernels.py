@@ -85,8 +85,8 @@ def show(part, which, seen, moving, known, memory, tanks, shown):
     these. ``moving`` are headings and velocities, (B, n, 2), or (B, n, 0). ``tanks`` are stored
     energies (B, n, 1) or (B, n, 0), and the memory of walls, (B, n, 14) or (B, n, 0). ``known`` are
     a Robot and the number of columns before the context. ``memory`` consists of the edges at the
-    last decision, (B, n, M, 2, 2), zero if not visible, of MEMORY, (B, n, 11), and of working
-    memory (M, 2) and (M + 1,).
+    last decision, (B, n, M, 2, 2), zero if not visible, and of MEMORY, (B, n, 11). Its last part is
+    working memory, (M, 2) and (M + 1,).
     """
     (teams, elapsed), (edges, memories, room), (headings, velocities) = which, memory, moving
     (observations, bits), (intervals, listed) = seen, room

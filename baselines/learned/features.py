@@ -122,6 +122,10 @@ class Features(StatefulMixin):
         walls = {f"wall_{name}": array for name, array in self._walls.views.items()}
         return {"edges": self._edges, **self._records.views, **walls}
 
+    def _begin(self, which: Any) -> None:
+        for array in (self._edges, self._records.array, self._walls.array):
+            array[which] = 0.0
+
     def see(
         self,
         observations: Float32,

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.checks import check_fields, check_int, is_sequence, number, raise_invalid
+from rendezvous_env.checks import check_int, is_sequence, number, raise_invalid
+from rendezvous_env.field_checks import check_fields
 from rendezvous_env.limits import LARGEST
 from rendezvous_env.safety.settings import check_margin
 from rendezvous_env.safety.tank import unit_of_tanks

@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
+from ..deprecation import renamed_attribute
 from .torchrl import GROUP, RendezvousEnv
 
 __all__ = ["Evaluation", "HeldOut", "RendezvousTask"]
@@ -123,14 +124,16 @@ class Evaluation:
     """Results of a held-out evaluation.
 
     ``frames`` is the number of environment steps collected before it. ``met`` is the fraction of
-    environments with rendezvous, ``clean`` with collision-free rendezvous. ``median_time``, s, is
-    over all environments, with inf for those without rendezvous.
+    environments with rendezvous, and ``collision_free`` with collision-free rendezvous.
+    ``median_time``, s, is over all environments, with inf for those without rendezvous.
     """
 
     frames: int
     met: float
-    clean: float
+    collision_free: float
     median_time: float
+
+    clean = renamed_attribute("clean", "collision_free")
 
 
 class HeldOut(Callback):
@@ -155,11 +158,12 @@ class HeldOut(Callback):
         """
         experiment = self.experiment
         period = experiment.test_env.seconds_per_step
-        times, clean = zip(*(_meeting(each, period) for each in rollouts), strict=True)
-        met, cleanly = (sum(which) / len(times) for which in (map(isfinite, times), clean))
-        found = Evaluation(experiment.total_frames, met, cleanly, statistics.median(times))
+        times, free = zip(*(_meeting(each, period) for each in rollouts), strict=True)
+        met, share = (sum(which) / len(times) for which in (map(isfinite, times), free))
+        found = Evaluation(experiment.total_frames, met, share, statistics.median(times))
         self.evaluations.append(found)
-        told = {f"eval/{key}": getattr(found, key) for key in ("met", "clean", "median_time")}
+        names = ("met", "collision_free", "median_time")
+        told = {f"eval/{name}": getattr(found, name) for name in names}
         experiment.logger.log(told, step=experiment.n_iters_performed)
         experiment.test_env.set_seed(self.seed)
 
@@ -171,5 +175,5 @@ def _meeting(rollout: TensorDictBase, period: float) -> tuple[float, bool]:
     """
     last = int(rollout["next", "done"].flatten().int().argmax())
     met = bool(rollout["next", "terminated"].flatten()[last])
-    clean = met and int(rollout["next", "contacts"].flatten()[last]) == 0
-    return (last + 1) * period if met else float("inf"), clean
+    free = met and int(rollout["next", "contacts"].flatten()[last]) == 0
+    return (last + 1) * period if met else float("inf"), free

@@ -43,7 +43,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
     """B environments of n robots as B·n agents that write into PufferLib's buffers.
 
     An environment is reset in the step in which it ends. All its agents last until then. A merged
-    agent has zero observations, its action is ignored and it receives the team reward to the end,
+    agent has zero observations, and its action is ignored. It receives the team reward to the end,
     so an early merge is not penalised. ``masks`` are False for merged agents. ``terminals`` are
     rendezvous and ``truncations`` are time limits. The trainer of PufferLib 3 reads only the
     former, and bootstraps a time limit from the first observation of the next episode.

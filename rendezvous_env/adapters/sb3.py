@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from ..checks import check_int, check_shape, counted, floats, mapping
 from ..deprecation import renamed_arguments
 from ..engine.state_checks import check_entries, check_keys, refuse_first
+from ..envs.agents import component_mask
 from ..envs.guarantee import layers_of
 from ..envs.gymnasium_env import make_vec
 from ..rewards.terms import earned_in_episode
@@ -96,7 +97,8 @@ class RobotVecEnv(VecEnv):
     @property
     def action_mask(self) -> NDArray[np.bool_]:
         """True for action components of each slot that its robot has, (slots, a)."""
-        mask = self.simulator.scenario.action_mask
+        mask, width = component_mask(self.teams), self.action_space.shape or (1,)
+        mask = np.ones((self.n_robots, *width), np.bool_) if mask is None else mask
         return np.tile(mask, (self.slots.num_teams, 1))
 
     def reset(self) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import closest_match
+from ..suggestions import closest_match
 from .log import Floats, Ints, Mask, SensorLog, Track, wrap
 
 BEARING_COLUMNS = ("time", "observer", "target", "bearing")

@@ -168,8 +168,8 @@ class BatchRunner:
         self._all, self._far = np.ones(robots, np.bool_), np.full(robots, np.inf)
         self._overflow = np.full(place.batch, -1)
         self._last: StepOutput | None = None
-        self._near = False
-        """True if something could meet in the last step."""
+        self._near: bool | None = None
+        """True if a contact is possible in the next step; None if that is unknown."""
         self._may_overflow = place.scenario.observation_layout.neighbour_slots < n - 1
         self._add_step: Callable[..., Any] | None = None  # compiled on first use
         self._actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
@@ -218,8 +218,10 @@ class BatchRunner:
         blocks = place.blocks
         if (tuner := self._tuner).max_threads == 1:  # no threading overhead
             calls = self._calls_of_one_thread(actions, output)
+            self._near = None  # unknown after an interrupt
             # one instruction, so an interrupt leaves all calls or none
-            deque(starmap(call, calls), 0)
+            results = list(starmap(call, calls))
+            self._near = results[-1] > 0
         else:
             calls_of = self._step_calls(actions, output)
             threads.share(calls_of, blocks, tuner.begin(), tuner.head_start)
@@ -242,6 +244,7 @@ class BatchRunner:
         Resting environments, (B,), skip the first step; the array is overwritten.
         """
         state, output, actions = self._state, self.new_output(), self._actions
+        self._near = None
         lanes, totals = state.lanes, (output.rewards, output.robot_rewards, output.contact)
         if count > 1:
             totals = np.zeros_like(totals[0]), np.zeros_like(totals[1]), np.zeros_like(totals[2])
@@ -314,6 +317,7 @@ class BatchRunner:
             for part in parts
             for one in self._stages.calls(*part, None, output, self.scratch, False)
         ]
+        self._near = None
         deque(starmap(call, [*calls, (self._state.settle,)]), 0)
 
     def _step_calls(
@@ -340,7 +344,6 @@ class BatchRunner:
 
         if not stages.all_compiled:
             stages.calls(0, 1, actions, output, self.scratch, True)
-            stages.all_compiled = True
         return calls_of
 
     def _calls_of_one_thread(
@@ -355,11 +358,6 @@ class BatchRunner:
             return [(one,) for one in self._step_calls(actions, output)((0, blocks, 0))]
         if self._may_overflow:
             output.neighbour_overflow.fill(-1)
-        calls = stages.calls(0, blocks, actions, output, self.scratch, self._near)
-        if ahead := stages.n_ahead:
-            deque(starmap(call, calls[:ahead]), 0)
-        near = call(*calls[ahead]) > 0.0
-        if near and not self._near:
-            calls = stages.calls(0, blocks, actions, output, self.scratch, True)
-        self._near = near
-        return calls[ahead + 1 :]
+        if (near := self._near) is None:
+            near = stages.all_compiled or stages.any_near()  # to call them in vain costs little
+        return stages.calls(0, blocks, actions, output, self.scratch, near)

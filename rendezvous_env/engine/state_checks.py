@@ -126,7 +126,7 @@ class StatefulMixin:
         raise NotImplementedError
 
     def _begin(self, which: Any) -> None:
-        """Initialise the memory of these environments, a mask or a slice, before an episode."""
+        """Initialise the memory of these environments, indices or a slice, before an episode."""
         for array in self._memory.values():
             array[which] = 0.0
 
@@ -136,8 +136,10 @@ class StatefulMixin:
         Raises:
             ValueError: for an invalid mask; the memory is unchanged.
         """
-        teams = len(next(iter(self._memory.values())))
-        self._begin(slice(None) if mask is None else check_mask(mask, teams))
+        which: Any = slice(None)
+        if mask is not None:  # indices are faster than a mask
+            which = np.flatnonzero(check_mask(mask, len(next(iter(self._memory.values())))))
+        self._begin(which)
 
     def get_state(self) -> dict[str, NDArray[np.float64]]:
         """Copies of the memory."""

@@ -4,12 +4,11 @@ From the action to the new observation, over the blocks of one thread after anot
 
     take_commands               commands in execution, with asynchronous activation
     disturb_commands            crashes, adversaries, slip and disturbances
-    propose_motion              displacement of every robot without contacts
+    propose_motion              displacement of every robot, applied where no contact is possible
     move_obstacles              obstacles that move, and contacts with all
     stop_at_obstacles           exact contacts, where an obstacle is within reach, if none moves
     merge_robots, pack_robots   exact merges, or bodies that touch, where robots are within reach
     settle_merged               positions of robots that merged beside moving obstacles
-    advance_free                all other environments
     update_robots               memory and frames of robot models
     turn_frames                 drift of local frames
     update_links                arcs that change with time
@@ -50,7 +49,7 @@ from ..robots.activation import ActivationRules
 from ..robots.events import EventRules
 from ..robots.motion import frame_turns
 from ..sensors.imperfections import Imperfections, Views
-from .memory import Robot
+from .memory import RUNNING, Robot
 from .memory_layout import Scratch
 from .preparation import Constants, Sensor
 from .stages.apply_effects import apply_effects, turn_observers, turn_silhouettes
@@ -73,7 +72,7 @@ from .stages.commands import (
 from .stages.conclude import conclude_step
 from .stages.limit_views import limit_views, limit_views_of_silhouettes
 from .stages.move_obstacles import move_obstacles, settle_merged
-from .stages.propose import advance_free, propose_motion, refresh_frames, update_robots
+from .stages.propose import propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
 from .stages.sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
 from .stages.sense_obstacles import (
@@ -115,8 +114,6 @@ class StepStages:
         self._state, self._robot, self._constants, self._sensor = state, robot, constants, sensor
         self._traffic, self._clocks, self._events = traffic, clocks, events
         self._drives = events is not None and state.scenario.events.drives
-        self.n_ahead = (clocks is not None) + self._drives
-        """Number of calls ahead of ``propose_motion``; to repeat them in a step is harmless."""
         self.all_compiled = False
         """True if the stages of contacts and merges are also compiled."""
         self._entries: dict[Any, Callable[..., Any]] = {}
@@ -127,8 +124,16 @@ class StepStages:
         """Actions of no environment, for stages after one that has written those of ``moves``."""
         self._has_obstacles = state.obstacles.kinds.shape[1] > 0
         self._has_contacts = constants.contact_mode != IGNORE and self._has_obstacles
+        self._reach = reaches(constants, self._has_contacts)
         self._dense = state.links.form == DENSE
         self._direct = place.direct
+
+    def any_near(self) -> bool:
+        """True if a contact is possible in the next step, see ``is_near``."""
+        square, clearance = self._reach
+        near = self._state.statistic("square_closest") < square
+        near |= self._state.statistic("clearance") < clearance
+        return bool((near & (self._state.statistic("status") == RUNNING)).any())
 
     def calls(
         self,
@@ -155,6 +160,7 @@ class StepStages:
         if (plan := self._plans.get(key)) is None:
             stages = self._stages_of(first, last, actions is not None, collides, scratch)
             plan = self._plans[key] = [self._bound(given, *stage) for stage in stages]
+            self.all_compiled |= collides
         return [(call,) if late is None else (call, *late(given)) for call, late in plan]
 
     def _bound(self, given: tuple[Any, ...], kernel: Any, *arguments: Any) -> tuple[Call, Any]:
@@ -202,7 +208,6 @@ class StepStages:
         state, robot, rules = self._state, self._robot, self._constants
         width, lanes, environments = state.place.width, state.lanes, state.environments
         now = state.robots, state.merged_into, environments, work.moves
-        reach = reaches(rules, self._has_contacts)
         actions: Any = _ACTIONS
         if self._clocks is not None:
             yield self._take_commands(self._clocks, first, last, work)
@@ -210,7 +215,7 @@ class StepStages:
         if self._events is not None and self._drives:
             yield self._disturb_commands(self._events, first, last, work, actions)
             actions = self._taken
-        yield propose_motion, width, robot, first, last, reach, *now, actions
+        yield propose_motion, width, robot, first, last, self._reach, *now, actions
         if self._traffic is not None:
             yield self._move_obstacles(first, last, self._traffic, work)
         if collides:
@@ -242,7 +247,6 @@ class StepStages:
                 given = state.robots, state.merged_into, environments
                 beside = self._took_part, state.arrivals
                 yield settle_merged, lanes, len(robot.axes), *blocks, *given, *beside
-        yield advance_free, width, robot.axes, first, last, state.robots, environments, work.moves
         if robot.memories:
             given = first, last, rules.contact_mode, *now
             yield update_robots, width, robot, *given, _OUTPUT.contact
@@ -492,7 +496,7 @@ class StepStages:
     def _conclude(self, first: int, last: int) -> tuple[Any, ...]:
         state, rules, late = self._state, self._constants, _OUTPUT
         blocks = state.place.width, first, last
-        given = rules.duration, rules.max_steps, rules.reward_weights, rules.all_earn
+        given = rules.duration, rules.max_steps, rules.reward_weights, rules.all_earn, self._reach
         now = state.environments, state.merged_into, self._took_part
         written = late.scores, late.active, late.status, late.robot_rewards, late.contacts
         return conclude_step, *blocks, *given, *now, *written

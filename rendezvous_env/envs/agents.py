@@ -9,9 +9,11 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, raise_invalid, short_repr
+from ..engine.step import first_not_finite
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
 from ..state_view import STANDING
+from .guarantee import layers_of
 from .spaces import of_one_robot
 from .vector_env import SingleEnvMixin
 
@@ -82,7 +84,7 @@ class BaseParallelEnv(
         does: Any = teams.single_action_space
         robots = dict(enumerate(self.possible_agents))
         self.observation_spaces = {name: of_one_robot(sees, i) for i, name in robots.items()}
-        parts = self.scenario.action_mask if self.scenario.pads_actions else None
+        parts = self._parts = component_mask(teams)
         self.action_spaces = {
             name: of_one_robot(does, i, None if parts is None else parts[i])
             for i, name in robots.items()
@@ -150,6 +152,13 @@ class BaseParallelEnv(
         return not self.agents and isinstance(actions, Mapping) and not actions
 
 
+def component_mask(teams: Any) -> NDArray[np.bool_] | None:
+    """True for action components that a robot has, (n, a), under a filter too; None if all are."""
+    masks = [layer.action_mask for layer in layers_of(teams) if hasattr(layer, "action_mask")]
+    own: NDArray[np.bool_] | None = masks[0] if masks else teams.unwrapped.scenario.action_mask
+    return None if own is None or own.all() else own
+
+
 def names_of(n_robots: int) -> list[str]:
     """Agent names of n robots."""
     return [f"robot_{i}" for i in range(n_robots)]
@@ -189,7 +198,7 @@ def table_of(
         listed = np.array([actions[name] for name in alive])
         if listed.dtype != np.float32:
             listed = floats("actions", listed, np.float32)
-        fits = listed.shape == (len(alive), size) and bool(np.isfinite(listed).all())
+        fits = listed.shape == (len(alive), size) and first_not_finite(listed.reshape(-1)) < 0
     except (LookupError, TypeError, ValueError, RuntimeError, ArithmeticError):
         fits = False
     if not fits or len(actions) != len(alive):

@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from ..checks import check_int, choice, counted, known_fields, raise_invalid
+from ..checks import check_int, choice, counted, raise_invalid
 from ..engine.state_checks import check_entries, check_finite, check_keys
+from ..field_checks import known_fields
 from ..limits import MAX_HELD_STEPS
 from ..safety.gains import Gains
 from ..safety.heading import HeadingFilter

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from .. import graphs
-from ..checks import known_fields
+from ..field_checks import known_fields
 from ..obstacles import parsing as obstacles
 from ..obstacles.fields import Field
 from ..obstacles.obstacle_set import Obstacle

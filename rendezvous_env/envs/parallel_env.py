@@ -67,16 +67,23 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
 
     ## Reward
 
-    Every robot receives the team reward: progress (V_t − V_{t+1})/V_0, whose sum is at most 1,
-    minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` per robot in contact, minus
-    ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) per robot (default weight 0),
-    plus ``rendezvous_bonus`` at rendezvous. With the default weights the return is at most 2. On a
-    fixed graph, with A = Σ_ij a_ij, weights w₁, w₂, w₃ in the order above and no
-    ``clearance_penalty``, the reward of a step with m merges, of N in an episode, is at least −w₁
-    (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5). On a directed graph r A replaces 2 r D̄;
-    v_max is the ``speed_limit`` of a custom robot model. The terms with v_max and w₃ are 0 under
-    ``HeadingVectorWrapper`` on undirected graphs with exact bearings, linked robots that start at
-    least r apart, and no contacts.
+    Every robot receives the team reward, a sum of these terms:
+
+    * plus progress (V_t − V_{t+1})/V_0, whose sum is at most 1;
+    * minus ``time_penalty``·τ/time limit;
+    * minus ``collision_penalty`` per robot in contact;
+    * minus ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) per robot, by default 0;
+    * plus ``rendezvous_bonus`` at rendezvous.
+
+    With the default weights the return is at most 2. On a fixed graph without
+    ``clearance_penalty``, the reward of a step with m merges is at least (theory 5)
+
+        −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n,       A = Σ_ij a_ij,
+
+    with weights w₁, w₂, w₃ in the order above and N steps in an episode. On a directed graph r A
+    replaces 2 r D̄; v_max is the ``speed_limit`` of a custom robot model. The terms with v_max and
+    w₃ are 0 under ``HeadingVectorWrapper`` on undirected graphs with exact bearings. For this,
+    linked robots start at least r apart, and there are no contacts.
 
     ## Initial condition and end
 

@@ -261,6 +261,12 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         drop_summary(infos)
         return seen, rewards, ends, cuts, infos
 
+    @property
+    def action_mask(self) -> NDArray[np.bool_] | None:
+        """True for action components that a robot has, (n, a); None if all have all."""
+        own = getattr(self.env, "action_mask", self.scenario.action_mask)
+        return None if own.all() else own
+
     def state(self) -> NDArray[np.float32]:
         """As ``RendezvousVectorEnv.state``."""
         return self.teams.state()

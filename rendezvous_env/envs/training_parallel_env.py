@@ -77,8 +77,8 @@ class TrainingParallelEnv(
                 index = action.item() if scalar else action
                 check_int(f"action of {name}", index, 0, int(space.n) - 1)
         listed = [np.asarray(actions[name]) for name in names]
-        if self.scenario.pads_actions:  # a robot has the first components
-            size = self.scenario.action_size
+        if self._parts is not None:  # a robot has the first components
+            size = self._parts.shape[1]
             listed = [np.pad(action, (0, size - len(action))) for action in listed]
         table = np.stack(listed)[None]
         observations, _, ends, cuts, infos = self.teams.step(table)

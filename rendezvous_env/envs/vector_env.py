@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import bools, flag, is_int, short_repr
 from ..engine.batch_runner import BatchController, ObservationCallback, RolloutResult
-from ..engine.memory import RENDEZVOUS, TIME_OUT
+from ..engine.memory import TIME_OUT
 from ..outcome import StepOutput
 from ..render.renderer import Renderer, render_metadata
 from ..rewards.costs import no_costs
@@ -224,9 +224,9 @@ class RendezvousVectorEnv(
             **simulator.conditions,
             **more,
         }
-        terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
+        terminations, truncations = infos["success"].copy(), outcome.status == TIME_OUT
         observations = maybe_flatten(outcome.observations, self.flatten)
-        infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
+        infos = _with_masks(infos, _all_masks(len(infos), self.num_envs).copy())
         return observations, outcome.rewards, terminations, truncations, infos
 
     def autoreset(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
@@ -405,7 +405,18 @@ def drop_summary(infos: Info) -> None:
 
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
     """Infos for a mask (B,), with ``_key`` for every key."""
-    masks, told = np.full((len(infos), len(mask)), mask), infos.copy()
+    return _with_masks(infos, np.full((len(infos), len(mask)), mask))
+
+
+@lru_cache(4)
+def _all_masks(keys: int, num_envs: int) -> NDArray[np.bool_]:
+    """Masks of all environments, (keys, B), to copy, which is faster than filling."""
+    return np.ones((keys, num_envs), np.bool_)
+
+
+def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
+    """Infos with ``_key`` for every key, from masks (keys, B)."""
+    told = infos.copy()
     # to see whether a mask is left over, as ``strict`` would, takes as long as to hand all out
     told.update(zip(_names_of_masks(tuple(infos)), masks, strict=False))
     return told

@@ -73,6 +73,11 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         self.single_action_space = team_box(choices, n)
 
     @property
+    def action_mask(self) -> NDArray[np.bool_]:
+        """True for action components that a robot has, (n, k), see ``SafetyFilter.choice_mask``."""
+        return self.filter.choice_mask
+
+    @property
     def autoreset_mode(self) -> AutoresetMode:
         """Autoreset mode of the wrapped environment."""
         return self._base.autoreset_mode

@@ -66,7 +66,10 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
         metadata, names = self._base.metadata, self._base.possible_agents
         self.metadata = metadata | {"render_fps": metadata["render_fps"] / self.decision_period}
         self.observation_spaces = {name: deepcopy(observations) for name in names}
-        self.action_spaces = {name: deepcopy(choices) for name in names}
+        self.action_spaces = {
+            name: Box(choices.low[own], choices.high[own], dtype=np.float32)
+            for name, own in zip(names, self.filter.choice_mask, strict=True)
+        }
 
     @property
     def max_cycles(self) -> int:
@@ -100,9 +103,7 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
             return {}, {}, {}, {}, {}
         simulator = self._base.simulator
         check_robots(actions, self.agents, simulator.merged_into[0])
-        for name, action in actions.items():
-            check_action(name, action, self.filter.action_size)
-        self.filter.hold(self._table(actions, (self.filter.action_size,), np.float64))
+        self.filter.hold(self._choices(actions))
         returned: StepReturn = {}, dict.fromkeys(self.agents, 0.0), {}, {}, {}
         observations, rewards, terminations, truncations, infos = returned
         for _ in range(self.decision_period):
@@ -130,6 +131,15 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
                 break
         self._note_seen()
         return self._view(observations), *returned[1:]
+
+    def _choices(self, actions: Mapping[str, Any]) -> NDArray[np.float64]:
+        """Choices by agent as (1, n, k), padded with zeros; a ValueError names a wrong one."""
+        choices, mask = np.zeros((1, *self.filter.choice_mask.shape)), self.filter.choice_mask
+        for name, action in actions.items():
+            own = mask[self._base.index(name)]
+            check_action(name, action, int(own.sum()))
+            choices[0, self._base.index(name), own] = action
+        return choices
 
     def _add_told(self, infos: Infos) -> None:
         """Add the filter's infos of the last step."""
@@ -173,7 +183,8 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
 
     * Actions: ``Box(−1, 1, (d,))``, a raw vector in the observed frame; only its direction is
       used. For nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of
-      ``max_turn_rate``.
+      ``max_turn_rate``. In mixed teams each robot has the space of its model; arrays of vector
+      environments are padded, see ``SafetyFilter.choice_mask``.
     * Observations: the base environment's rows. With ``frame="net_bearing"`` (single integrators) x
       is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D the second
       axis comes from the row with the longest part across f_i. While ‖f_i‖ < δ the last frame is
@@ -200,8 +211,8 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     The desired velocity is executed while A_i + G_i ≥ 0, even opposite to f_i. Otherwise law (4)
     moves the robot along that direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖ (along f_i if it
     is zero), which fills the tank. On a fixed, connected, undirected graph, with bearing errors of
-    at most ``bearing_error``, V ≤ V(0) + n·budget until the first merge, and without obstacles
-    rendezvous occurs in finite time for any policy (theorem D). Other graphs and sensors are
+    at most ``bearing_error``, V ≤ V(0) + n·budget until the first merge. Without obstacles
+    rendezvous then occurs in finite time for any policy (theorem D). Other graphs and sensors are
     accepted without this guarantee; see ``certificate``. In a step with contact a robot books
     min(0, G_i), so the bound on V holds for motion without contacts. A survivor inherits the sum of
     both tanks; on complete graphs of equal weights without obstacles, all stored energies also

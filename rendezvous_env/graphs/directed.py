@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import known_arguments
+from ..field_checks import known_arguments
 from .fixed import Weight, as_range
 from .graph import Graph, LinkArrays, from_matrix_of
 from .reading import is_networkx, is_sparse

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import known_arguments, number_range
+from ..checks import number_range
+from ..field_checks import known_arguments
 from .graph import Graph, GraphNumbers, LinkArrays, from_matrix_of, from_networkx
 from .reading import is_networkx
 

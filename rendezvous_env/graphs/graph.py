@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import checks
+from .. import checks, field_checks
 from ..checks import short_repr
 from ..limits import MAX_ROBOTS
 from . import reading
@@ -132,7 +132,7 @@ class Graph:
     def __post_init__(self) -> None:
         if type(self) is not class_of(self.kind):
             raise ValueError(f"graph: {short_repr(self.kind)} is not a {type(self).__name__}")
-        checks.check_fields(self, "graph: {}")
+        field_checks.check_fields(self, "graph: {}")
         if self.kind == self.listed:
             edges = self.edges if isinstance(self.edges, Edges) else matrices.read_edges(self.edges)
             count = self.n_nodes or (1 + max(max(0, i, j) for i, j, _ in edges) if edges else None)
@@ -277,7 +277,7 @@ def parse(value: Any, n: int | None = None) -> Graph:
     if not all(isinstance(key, str) for key in plain):
         checks.raise_invalid("graph", value, f"{reading.GIVEN}; {reading.REMEDY}")
     kind = plain.get("kind", "edges" if "edges" in plain else "complete")
-    checks.known_fields(plain, class_of(kind).keys, "graph", "key")
+    field_checks.known_fields(plain, class_of(kind).keys, "graph", "key")
     try:
         return Graph(**{**plain, "kind": kind})
     except ValueError as error:

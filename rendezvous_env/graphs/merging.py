@@ -41,9 +41,9 @@ def merge_swept(
         world: obstacles, in which no merged robot may be placed, or None.
         radius: r, m.
         work: working memory (times (E,), positions (n, d), resting (n,) bool), and a report, (4,).
-            The report is V just before the first merge (unchanged without one), V just after the
-            last, the largest increase of V at a merge, and its largest excess over theory 5, all
-            m²/s.
+            The report, m²/s: V just before the first merge (unchanged without one) and V just
+            after the last; the largest increase of V at a merge, and its largest excess over
+            theory 5.
         through: whether robots merge through obstacles.
 
     Returns:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..checks import known_arguments
+from ..field_checks import known_arguments
 from .fixed import CompleteGraph, Weight, as_range
 from .graph import Graph
 

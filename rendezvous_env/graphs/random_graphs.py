@@ -7,8 +7,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import Registry, known_arguments
+from ..checks import Registry
 from ..compilation import inner_kernel, kernel
+from ..field_checks import known_arguments
 from ..physics.random_streams import GRAPH, uniform
 from .edges import pair_index, sort_links
 from .fixed import CompleteGraph, Weight, as_range

@@ -6,7 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from ..checks import Seconds, format_limit, known_arguments, raise_invalid, short_repr
+from ..checks import format_limit, raise_invalid, short_repr
+from ..field_checks import Seconds, known_arguments
 from .graph import Graph, GraphNumbers, LinkArrays, parse, step_degree
 
 

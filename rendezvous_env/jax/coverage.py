@@ -10,7 +10,7 @@ from ..obstacles.parsing import max_count
 from ..robots.robot_models import is_custom
 from ..scenario.scenario import Scenario
 from .imperfections import not_covered
-from .obstacles.fields import MOST_SPHERES
+from .obstacles.fields import MAX_SPHERES
 
 _REMEDY = "not covered by JAX; use rendezvous_env.make_vec, which supports it"
 
@@ -25,7 +25,7 @@ def _is_rare_field(scenario: Scenario) -> bool:
     field = scenario.obstacles
     if not isinstance(field, ObstacleField):
         return False
-    return field.passage > 0.0 or (scenario.dim == 3 and field.most > MOST_SPHERES)
+    return field.passage > 0.0 or (scenario.dim == 3 and field.most > MAX_SPHERES)
 
 
 def check_covered(scenario: Scenario) -> None:

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, names_unknown_fields, raise_invalid
+from ..checks import is_sequence, raise_invalid
 from ..compilation import kernel
+from ..field_checks import names_unknown_fields
 from ..physics.crossings import capsule_crossing
 from ..physics.vectors import combine, dot, norm, perpendicular, split, store, subtract, without
 from . import shape

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from ..checks import names_unknown_fields
 from ..compilation import kernel
+from ..field_checks import names_unknown_fields
 from ..physics.crossings import first_crossing
 from ..physics.vectors import X_AXIS, combine, norm, store, subtract
 from . import shape

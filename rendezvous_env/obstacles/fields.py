@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from ..checks import format_limit, is_int, is_sequence, names_unknown_fields, raise_invalid
+from ..checks import format_limit, is_int, is_sequence, raise_invalid
 from ..compilation import by_type, inner_kernel, kernel
+from ..field_checks import names_unknown_fields
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from ..limits import MAX_OBSTACLES

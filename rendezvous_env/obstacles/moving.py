@@ -11,7 +11,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import flag, is_sequence, names_unknown_fields, number, positive, raise_invalid
+from ..checks import flag, is_sequence, number, positive, raise_invalid
+from ..field_checks import names_unknown_fields
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from . import shape

@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, get_args
 
-from ..checks import choice, known_fields, raise_invalid, short_repr
+from ..checks import choice, raise_invalid, short_repr
+from ..field_checks import known_fields
 from . import obstacle_set
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField

@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import is_sequence, names_unknown_fields, raise_invalid, short_repr
+from ..checks import is_sequence, raise_invalid, short_repr
 from ..compilation import inner_kernel, kernel
+from ..field_checks import names_unknown_fields
 from ..limits import MAX_VERTICES
 from ..physics.crossings import capsule_crossing
 from ..physics.vectors import combine

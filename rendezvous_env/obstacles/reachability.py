@@ -1,11 +1,11 @@
 """Reachability: test whether discs separate robots from each other.
 
 Overlapping discs are connected by the segment of their centres. Two points p and q outside the
-union lie in different components if and only if a closed chain of discs encloses exactly one of
-them. The segments of such a chain cross the segment p q an odd number of times (Alexander duality
-modulo 2; by the nerve theorem such chains find every hole). So p and q are connected if and only if
-every disc can be given a side, 0 or 1, with this property: connected discs are on different sides
-exactly if their segment crosses p q.
+union lie in different components iff a closed chain of discs encloses exactly one of them. The
+segments of such a chain cross the segment p q an odd number of times (Alexander duality modulo 2;
+by the nerve theorem such chains find every hole). So p and q are connected if and only if every
+disc can be given a side, 0 or 1, with this property: connected discs are on different sides exactly
+if their segment crosses p q.
 """
 
 from ..compilation import inner_kernel, kernel

@@ -15,8 +15,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_fields, is_sequence, number, number_range, raise_invalid, to_float
+from ..checks import is_sequence, number, number_range, raise_invalid, to_float
 from ..compilation import kernel
+from ..field_checks import check_fields
 from ..limits import LARGEST
 from ..physics.vectors import X_AXIS, combine, cross, dot, norm, subtract
 

@@ -12,8 +12,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from ..checks import format_limit, names_unknown_fields, raise_invalid
+from ..checks import format_limit, raise_invalid
 from ..compilation import inner_kernel, kernel
+from ..field_checks import names_unknown_fields
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from ..physics.random_streams import uniform

@@ -14,8 +14,8 @@ _FLAT = 1e-10
 def size(points: Array) -> float:
     """L = ∫_{|u|=1} max_i u·p_i du, m, of finite points p, (N, d), m, N ≥ 1; 0 for a single point.
 
-    A segment is a polygon with two sides, a flat polygon in 3-D has the mean width P/4, so
-    L = (π/2) P with P its perimeter.
+    A segment is a polygon with two sides. A flat polygon in 3-D has the mean width P/4, with P its
+    perimeter, so L = (π/2) P.
     """
     d, flat = points.shape[1], _in_their_own_axes(points)
     if flat.shape[1] == 3:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import closest_match, raise_invalid, short_repr
+from ..checks import raise_invalid, short_repr
+from ..suggestions import closest_match
 from .custom_terms import COSTS, TERMS, RewardStep, of_step
 
 Costs = dict[str, NDArray[np.float64]]

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
-from ..checks import check_fields, names_unknown_fields
 from ..compilation import kernel
+from ..field_checks import check_fields, names_unknown_fields
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from .custom_terms import as_custom

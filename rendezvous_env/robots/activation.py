@@ -15,7 +15,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import checks
+from .. import checks, field_checks
 from ..compilation import inner_kernel
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
@@ -52,7 +52,7 @@ _Phase = Annotated[int | tuple[int, ...], partial(_check_steps, least=0)]
 
 
 @lists_fields
-@checks.names_unknown_fields("activation")
+@field_checks.names_unknown_fields("activation")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Activation:
     """Clocks of the robots: the steps in which each one is active and takes a new command.
@@ -83,7 +83,7 @@ class Activation:
     __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
-        checks.check_fields(self, "activation.{}")
+        field_checks.check_fields(self, "activation.{}")
         own = _OWN.get(self.kind, ())
         for field, default in _DEFAULTS.items():
             value = getattr(self, field)
@@ -146,7 +146,7 @@ def as_activation(field: str, value: Any) -> Activation:
     if isinstance(value, str):
         return Activation(kind=checks.choice(field, value, KINDS))
     if isinstance(value, Mapping):
-        return checks.from_plain(Activation, value, field)
+        return field_checks.from_plain(Activation, value, field)
     if not isinstance(value, Activation):
         words = ", ".join(map(repr, KINDS))
         checks.raise_invalid(

@@ -57,8 +57,8 @@ def _displacement_at(model, action, frame, memory, time):
 def mean_speed(before, after):
     """Mean speed ∫₀¹ ‖v₀ + s (v₁ − v₀)‖ ds along a parabola, m/s.
 
-    With u the part of the velocity along its change c, and h the part across it, it is
-    [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends.
+    It is [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends. Here u and h are the parts of the
+    velocity along and across its change c.
     """
     start, end = norm(before), norm(after)
     change = add(after, -1.0, before)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import checks
+from .. import checks, field_checks
 from ..compilation import inner_kernel, kernel
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
@@ -62,7 +62,7 @@ _Speed = Annotated[float, partial(checks.number, least=0.0, unit="m/s")]
 
 
 @lists_fields
-@checks.names_unknown_fields("events")
+@field_checks.names_unknown_fields("events")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Events:
     """Failures and disturbances of robots; none by default.
@@ -109,7 +109,7 @@ class Events:
     __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
-        checks.check_fields(self, "events.{}")
+        field_checks.check_fields(self, "events.{}")
 
     @property
     def none(self) -> bool:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ..checks import (
     Registry,
-    check_fields,
     check_int,
     counted,
     floats,
@@ -25,6 +24,7 @@ from ..checks import (
     short_repr,
     to_float,
 )
+from ..field_checks import check_fields
 from .motion import FREE, STOPPED, Motion, check_function, is_number, motion_of
 
 MAX_ANGLES = 4  # of a robot model

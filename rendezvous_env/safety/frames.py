@@ -1,5 +1,7 @@
 """Observation frames with x along the net bearing f, for rotation equivariance (theory 7)."""
 
+import numpy as np
+
 from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
 from ..physics.neighbour_rows import net_bearing_of
@@ -7,6 +9,8 @@ from ..physics.vectors import cross, dot, load, load_pair, split, store, without
 from .robot_lanes import LANES, lanes_of, sum_rows
 
 FRAMES = ("net_bearing", "local")
+_1, _2, _3, _4, _5, _6, _7 = map(np.uint64, range(1, 8))
+"""Unsigned, so that the compiler has no negative index to handle and finds adjacent numbers."""
 _NEARLY_ALONG = 1e-6
 """Minimum component of a row across f that may define the second axis of a frame, m/s."""
 _CLEARLY_LONGER = 1.001
@@ -23,11 +27,13 @@ def look_along_net_bearing(axes, robots, robot, arrays, work):
     """
     observations, frames, seen = arrays
     if len(axes) == 2:
+        size = 2 * observations.shape[1]  # numbers of a robot
+        numbers, shown = observations.reshape(-1), seen.reshape(-1)
         for first in range(robots[0], robots[1], LANES):
             stop = min(first + LANES, robots[1])
             _aim_in_plane(axes, observations, robot, frames, first, stop, work)
-            for i in range(first, stop):
-                _turn_in_plane(observations[i], frames[i], seen[i])
+            part = slice(first * size, stop * size)
+            _turn_in_plane(numbers[part], frames[first:stop], size, shown[part])
     else:
         for i in range(robots[0], robots[1]):
             _aim_in_space(observations[i], robot, frames[i])
@@ -38,12 +44,39 @@ def look_along_net_bearing(axes, robots, robot, arrays, work):
 
 
 @inner_kernel(slp=True)
-def _turn_in_plane(rows, frame, seen):
-    """Rows (rows, 2) ← Fᵀ row."""
-    x, y = load_pair(frame[:, 0]), load_pair(frame[:, 1])
-    for k in range(len(rows)):
-        v = load_pair(rows[k])
-        seen[k, 0], seen[k, 1] = 0.0 + dot(x, v), 0.0 + dot(y, v)  # 0.0: never −0.0
+def _turn_in_plane(numbers, frames, size, shown):
+    """Rows ← Fᵀ row of robots, flat, ``size`` numbers of each, in their frames (N, 2, 2).
+
+    Four rows at a time become SIMD; the last four of a robot may repeat some of its rows.
+    """
+    for i in range(len(frames)):
+        x, y = load_pair(frames[i, :, 0]), load_pair(frames[i, :, 1])
+        begin, last = i * size, (i + 1) * size - 8
+        if size >= 8:
+            for k in range(begin, last + 8, 8):
+                _turn_four(numbers, x, y, np.uint64(min(k, last)), shown)
+        else:
+            for k in range(begin, begin + size, 2):
+                at = np.uint64(k)
+                shown[at], shown[at + _1] = _turned(numbers[at], numbers[at + _1], x, y)
+
+
+@inner_kernel(inline="code")
+def _turn_four(numbers, x, y, k, shown):
+    """Turn four rows from number k on; all are read before any is written."""
+    one = _turned(numbers[k], numbers[k + _1], x, y)
+    two = _turned(numbers[k + _2], numbers[k + _3], x, y)
+    three = _turned(numbers[k + _4], numbers[k + _5], x, y)
+    four = _turned(numbers[k + _6], numbers[k + _7], x, y)
+    shown[k], shown[k + _1], shown[k + _2], shown[k + _3] = *one, *two
+    shown[k + _4], shown[k + _5], shown[k + _6], shown[k + _7] = *three, *four
+
+
+@inner_kernel(inline="code")
+def _turned(along, across, x, y):
+    """A row of float32 in a frame with axes x and y, a pair of float32."""
+    v = np.float64(along), np.float64(across)
+    return np.float32(0.0 + dot(x, v)), np.float32(0.0 + dot(y, v))  # 0.0: never −0.0
 
 
 @inner_kernel(inline="code")

@@ -4,6 +4,7 @@ See docs/theory.md, section 3. Turn rates of nonholonomic robots are in ``turnin
 """
 
 import math
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,16 @@ from ..physics.vectors import (
     x_axis,
 )
 from ..scenario.scenario import Scenario
-from .robot_lanes import LANES, give_out, lanes_of, report, sum_rows, take_in, weigh_rows
+from .robot_lanes import (
+    LANES,
+    end_of_run,
+    give_out,
+    lanes_of,
+    report,
+    sum_rows,
+    take_in,
+    weigh_rows,
+)
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_margin, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
@@ -146,24 +156,43 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
     """As ``certified_heading``, one robot, pairs or triples; ``limit`` from ``turn_limit``."""
     strength, towards = split(net_bearing)
-    margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
     if strength == 0.0:
-        towards, margin = x_axis(net_bearing), NO_CAP
-    carried = _carry(previous, towards, margin)
-    length, direction = split(raw)
-    aim = into_cap(direction, towards, margin, carried) if length > 0.0 else carried
-    return into_cap(_turn(carried, aim, towards, limit), towards, margin, towards)
+        towards = x_axis(net_bearing)
+    cap = _cap(_margin(strength, min_alignment, dead_zone))
+    carried = _carry(split(previous), towards, cap)
+    return _follow(split(raw), carried, towards, cap, limit)
 
 
 @inner_kernel(inline="code")
-def _carry(previous, towards, margin):
-    """Previous heading, flipped towards f and projected onto the cap."""
-    length, heading = split(previous)
+def _margin(strength, min_alignment, dead_zone):
+    """ε_i = ε clip(‖f‖/δ − 1, 0, 1) of ``certified_heading``; NO_CAP where f is zero."""
+    margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
+    return margin if strength > 0.0 else NO_CAP
+
+
+@inner_kernel(inline="code")
+def _cap(margin):
+    """Parts ε and √(1 − ε²) along and across f of headings on the boundary of the cap."""
+    return margin, math.sqrt(1.0 - margin * margin)
+
+
+@inner_kernel(inline="code")
+def _carry(previous, towards, cap):
+    """Previous heading, as ``split``, flipped towards f and projected onto the cap."""
+    length, heading = previous
     if length == 0.0:
         return towards
-    if margin != NO_CAP and dot(heading, towards) < 0.0:
+    if cap[0] != NO_CAP and dot(heading, towards) < 0.0:
         heading = scaled(heading, -1.0)
-    return into_cap(heading, towards, margin, towards)
+    return _project(heading, towards, cap, towards)
+
+
+@inner_kernel(inline="code")
+def _follow(raw, carried, towards, cap, limit):
+    """Turn from the carried heading towards a raw vector, as ``split``, within the cap."""
+    length, direction = raw
+    aim = _project(direction, towards, cap, carried) if length > 0.0 else carried
+    return _project(_turn(carried, aim, towards, limit), towards, cap, towards)
 
 
 @kernel(inline="code")
@@ -172,12 +201,19 @@ def into_cap(direction, towards, margin, otherwise):
 
     For the direction −u all of the boundary is equally near, and h is ``otherwise``.
     """
+    return _project(direction, towards, _cap(margin), otherwise)
+
+
+@inner_kernel(inline="code")
+def _project(direction, towards, cap, otherwise):
+    """``into_cap`` for the parts of ``_cap``."""
+    margin, rest = cap
     if dot(direction, towards) >= margin:
         return direction
     size, across = split_across(direction, towards)
     if size < _NEARLY_PARALLEL:
         return otherwise
-    return combine(margin, towards, math.sqrt(1.0 - margin * margin), across)
+    return combine(margin, towards, rest, across)
 
 
 @inner_kernel(inline="code")
@@ -220,9 +256,7 @@ def _steer(axes, robots, constants, arrays, work):
     observations, held, headings, actions, alignment, lyapunov_rate = arrays
     lanes, robot, limit = lanes_of(numbers), constants.robot, turn_limit(constants.max_turn)
     gate, weighs = robot.gate, constants.speed_scaled or robot.error_chord > 0.0
-    # a question in the loop would take longer than a scale that is 1
-    duration = gate.duration if constants.speed_scaled else 0.0
-    lanes.degree[:] = 0.0
+    lanes.degree[:], lanes.scale[:] = 0.0, 1.0
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         rows = observations[first:stop]
@@ -232,27 +266,68 @@ def _steer(axes, robots, constants, arrays, work):
             sum_rows(axes, rows, robot.neighbour_slots, lanes.f)
         take_in(axes, held, first, stop, lanes.choice)
         take_in(axes, headings, first, stop, lanes.heading)
+        _split_lanes(axes, lanes)
         if constants.certified:
-            for lane in range(LANES):
-                raw, f = read(lanes.choice, lane, axes), read(lanes.f, lane, axes)
-                previous = read(lanes.heading, lane, axes)
-                h = certify_one(raw, f, previous, gate.min_alignment, gate.dead_zone, limit)
-                write(h, lanes.heading, lane)
+            _certify_lanes(axes, lanes, gate, limit)
         else:
             for lane in range(LANES):
-                write(split(read(lanes.choice, lane, axes))[1], lanes.heading, lane)
+                write(read(lanes.choice, lane, axes), lanes.heading, lane)
+        if constants.speed_scaled:
+            for lane in range(LANES):
+                degree = lanes.degree[lane]
+                lanes.scale[lane] = scale_of_step(degree, robot.merge_radius, gate.duration)
         for lane in range(LANES):
-            f, degree = read(lanes.f, lane, axes), lanes.degree[lane]
-            h = read(lanes.heading, lane, axes)
-            scale = scale_of_step(degree, robot.merge_radius, duration)
-            along = dot(h, f)
+            h, degree = read(lanes.heading, lane, axes), lanes.degree[lane]
+            along = dot(h, read(lanes.f, lane, axes))
             sure = without_error(along, robot.error_chord * degree)
-            write(scaled(h, sure * scale), lanes.sent, lane)
-            strength, towards = split(f)
-            lanes.alignment[lane] = abs(dot(h, towards)) if strength > 0.0 else np.nan
+            write(scaled(h, sure * lanes.scale[lane]), lanes.sent, lane)
+            aligned = abs(dot(h, read(lanes.towards, lane, axes)))
+            lanes.alignment[lane] = aligned if lanes.strength[lane] > 0.0 else np.nan
             lanes.lyapunov_rate[lane] = -2.0 * along * sure
         give_out(axes, lanes.heading, first, stop, headings)
         report(axes, lanes, first, stop, actions, alignment, lyapunov_rate)
+
+
+# Short loops: a long one has more operations that wait for each other than a processor looks ahead.
+
+
+@inner_kernel(inline="text")
+def _split_lanes(axes, lanes):
+    """Lengths and directions of f and of choices."""
+    for lane in range(LANES):
+        f = read(lanes.f, lane, axes)
+        strength, towards = split(f)
+        if strength == 0.0:
+            towards = x_axis(f)
+        write(towards, lanes.towards, lane)
+        lanes.strength[lane] = strength
+    for lane in range(LANES):
+        lanes.desired[lane], direction = split(read(lanes.choice, lane, axes))
+        write(direction, lanes.choice, lane)
+
+
+@inner_kernel(inline="text")
+def _certify_lanes(axes, lanes, gate, limit):
+    """``certify_one`` after ``_split_lanes``."""
+    weak = 0
+    for lane in range(LANES):
+        lanes.carried[lane], heading = split(read(lanes.heading, lane, axes))
+        write(heading, lanes.heading, lane)
+        weak += lanes.strength[lane] < 2.0 * gate.dead_zone
+    lanes.margin[:], lanes.rest[:] = _cap(gate.min_alignment)
+    if weak > 0:  # seldom: from 2δ on the margin is ε
+        for lane in range(LANES):
+            margin = _margin(lanes.strength[lane], gate.min_alignment, gate.dead_zone)
+            lanes.margin[lane], lanes.rest[lane] = _cap(margin)
+    for lane in range(LANES):
+        towards, cap = read(lanes.towards, lane, axes), (lanes.margin[lane], lanes.rest[lane])
+        previous = lanes.carried[lane], read(lanes.heading, lane, axes)
+        write(_carry(previous, towards, cap), lanes.heading, lane)
+    for lane in range(LANES):
+        towards, cap = read(lanes.towards, lane, axes), (lanes.margin[lane], lanes.rest[lane])
+        raw = lanes.desired[lane], read(lanes.choice, lane, axes)
+        carried = read(lanes.heading, lane, axes)
+        write(_follow(raw, carried, towards, cap, limit), lanes.heading, lane)
 
 
 @kernel
@@ -282,6 +357,23 @@ def _turn_bodies(axes, robots, constants, arrays, work):
         lyapunov_rate[i] = -2.0 * along * sure
 
 
+@kernel
+def _steer_or_turn(axes, robots, constants, arrays, work):
+    """``_steer`` of holonomic robots, ``_turn_bodies`` of nonholonomic ones."""
+    observations, held, headings, actions, alignment, lyapunov_rate, turning = arrays
+    rates = held[:, : len(axes) - 1]
+    first = robots[0]
+    while first < robots[1]:
+        run = first, end_of_run(turning, first, robots[1])
+        if turning[first]:
+            given = observations, rates, headings, actions, alignment, lyapunov_rate
+            _turn_bodies(axes, run, constants, given, work)
+        else:
+            own = observations, held, headings, actions, alignment, lyapunov_rate
+            _steer(axes, run, constants, own, work)
+        first = run[1]
+
+
 class HeadingFilter(SafetyFilter):
     """Heading filter of B environments (theorem C).
 
@@ -309,8 +401,10 @@ class HeadingFilter(SafetyFilter):
         num_threads: int | None = None,
     ) -> None:
         check_inputs(scenario, "law (4)", bodies=True)
-        turns_body = scenario.model.nonholonomic
-        size = scenario.model.n_angles if turns_body else scenario.dim
+        turning = scenario.nonholonomic_robots
+        turns_body, size = bool(turning.any()), scenario.dim
+        if turning.all():
+            size = max(model.n_angles for model in scenario.models)
         super().__init__(scenario, num_envs, size, frame, num_threads)
         most = positive("max_turn_rate", max_turn_rate, "rad/s")
         robot = robot_of(scenario, check_margin(min_alignment), bearing_error, most)
@@ -327,6 +421,14 @@ class HeadingFilter(SafetyFilter):
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
         """Headings h_i, (B, n, d), in the robots' frames; zero if none yet."""
 
+    @cached_property
+    def choice_mask(self) -> NDArray[np.bool_]:
+        """As ``SafetyFilter.choice_mask``: vectors have d numbers, turn rates d − 1."""
+        mask = np.ones((self.scenario.n_robots, self.action_size), np.bool_)
+        if self.mixes_models:
+            mask[self.scenario.nonholonomic_robots, -1] = False
+        return mask
+
     @property
     def headings(self) -> NDArray[np.float64]:
         """Copy of ``carried``."""
@@ -341,10 +443,13 @@ class HeadingFilter(SafetyFilter):
     ) -> Calls:
         """As ``SafetyFilter.apply_calls``."""
         act, constants = _turn_bodies if self.turns_body else _steer, self._constants
+        mixed: tuple[NDArray[Any], ...] = ()
+        if self.mixes_models:
+            act, mixed = _steer_or_turn, (self._turning,)
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
         memory, told = (self._held, self.carried), (self.alignment, self.lyapunov_rate)
-        return over_robots(act, part, constants, observations, *memory, actions, *told)
+        return over_robots(act, part, constants, observations, *memory, actions, *told, *mixed)
 
 
 register_filter("heading", HeadingFilter)

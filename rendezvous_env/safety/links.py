@@ -172,8 +172,8 @@ class LinkKeeping(SafetyFilter):
 
         v_i = λ min(d_i, r/(2τ), v_max) sin(φ_i − η)₊ q_i/‖q_i‖ + (1 − λ) P(wanted)
 
-    with φ_i = asin ‖q_i‖, q_i of lemma 2, and P the projection onto B_i = ∩ ball(ρ g, ρ) over all
-    bearings g within η of a visible one, ρ = r/(4τ). Both terms lie in the convex set B_i.
+    with φ_i = asin ‖q_i‖ and q_i of lemma 2. P is the projection onto B_i = ∩ ball(ρ g, ρ) over
+    all bearings g within η of a visible one, with ρ = r/(4τ). Both terms lie in the convex set B_i.
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.

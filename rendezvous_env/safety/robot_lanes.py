@@ -18,7 +18,9 @@ from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
 LANES = 32 if compiled() else 1  # robots that are worked on at a time
-_ROWS = 18
+_ROWS = 31
+_1, _2, _3, _BESIDE = (np.uint64(number) for number in (1, 2, 3, LANES))
+"""Unsigned, so that the compiler has no negative index to handle."""
 Numbers = NDArray[np.float64]
 
 
@@ -29,6 +31,15 @@ class Lanes(NamedTuple):
     choice: Numbers  # that is held
     heading: Numbers
     sent: Numbers  # velocities of actions, m/s
+    towards: Numbers  # f/‖f‖; of the heading filter the x axis where f is zero
+    wanted: Numbers  # desired velocities, m/s
+    strength: Numbers  # ‖f‖, m/s
+    scale: Numbers  # s of velocities, without unit
+    margin: Numbers  # ε_i of the cap around f
+    rest: Numbers  # √(1 − ε_i²)
+    desired: Numbers  # length of the choice
+    carried: Numbers  # length of the heading before the step, 1 or 0
+    owed: Numbers  # decrease of V that is promised, m²/s
     degree: Numbers  # D, m/s
     level: Numbers  # A, m²/s
     deposit: Numbers  # G, m²/s
@@ -38,7 +49,7 @@ class Lanes(NamedTuple):
 
 
 def room_for(rows: int, dim: int) -> tuple[Numbers, NDArray[np.float32]]:
-    """Memory of a kernel: (18, LANES) for ``lanes_of``, (rows, LANES·d) for ``weigh_rows``."""
+    """Memory of a kernel: (31, LANES) for ``lanes_of``, (rows, LANES·d) for ``weigh_rows``."""
     return np.zeros((_ROWS, LANES)), np.zeros((rows, LANES * dim), np.float32)
 
 
@@ -51,11 +62,22 @@ def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, in
     return (part[0] * n, part[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
 
 
+@inner_kernel
+def end_of_run(turning, first, stop):
+    """End of the robots from ``first`` on, before ``stop``, that all turn or do not; (N,) bool."""
+    for i in range(first + 1, stop):
+        if turning[i] != turning[first]:
+            return i
+    return stop
+
+
 @inner_kernel(inline="text")
 def lanes_of(work):
-    """The Lanes whose rows, (18, LANES), these are."""
-    vectors = work[0:3], work[3:6], work[6:9], work[9:12]
-    return Lanes(*vectors, work[12], work[13], work[14], work[15], work[16], work[17])
+    """The Lanes whose rows, (31, LANES), these are."""
+    vectors = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15], work[15:18]
+    numbers = work[18], work[19], work[20], work[21], work[22], work[23], work[24], work[25]
+    rest = work[26], work[27], work[28], work[29], work[30]
+    return Lanes(*vectors, *numbers, *rest)
 
 
 # Robots are cut out of arrays first: of ``values[first + lane]`` the compiler cannot know that the
@@ -112,10 +134,14 @@ def sum_rows(axes, observations, neighbour_slots, f):
 def weigh_rows(axes, observations, neighbour_slots, room, f, degree):
     """As ``sum_rows``, and D_i = Σ_j a_ij into degree (LANES,), by way of rows side by side."""
     rows, d = room[:neighbour_slots], len(axes)
-    for lane in range(len(observations)):
-        for k in range(len(rows)):
-            for part in range(d):
-                rows[k, lane * d + part] = observations[lane, k, part]
+    if d == 2:
+        pairs, beside = observations.view(np.float64), room.view(np.float64)
+        _copy_pairs(pairs.reshape(-1), observations.shape[1], len(rows), beside.reshape(-1))
+    else:
+        for lane in range(len(observations)):
+            for k in range(len(rows)):
+                for part in range(d):
+                    rows[k, lane * d + part] = observations[lane, k, part]
     f[:] = 0.0
     degree[:] = 0.0
     for k in range(len(rows)):
@@ -123,6 +149,25 @@ def weigh_rows(axes, observations, neighbour_slots, room, f, degree):
             row = exactly(read_row(rows[k], lane, axes))
             write(combine(1.0, read(f, lane, axes), 1.0, row), f, lane)
             degree[lane] += norm(row)
+
+
+@inner_kernel
+def _copy_pairs(pairs, stride, count, beside):
+    """Copy the first ``count`` of ``stride`` rows of robots, flat, to row k of lane l, k LANES + l.
+
+    Both numbers of a row at once, and four rows, of which the last may repeat some.
+    """
+    for lane in range(len(pairs) // stride):
+        if count < 4:
+            for k in range(count):
+                beside[np.uint64(k * LANES + lane)] = pairs[np.uint64(lane * stride + k)]
+            continue
+        for k in range(0, count, 4):
+            row = min(k, count - 4)
+            i, to = np.uint64(lane * stride + row), np.uint64(row * LANES + lane)
+            one, two, three, four = pairs[i], pairs[i + _1], pairs[i + _2], pairs[i + _3]
+            beside[to], beside[to + _BESIDE] = one, two
+            beside[to + _2 * _BESIDE], beside[to + _3 * _BESIDE] = three, four
 
 
 @inner_kernel(inline="code")

@@ -22,7 +22,7 @@ from ..limits import MAX_TEAMS
 from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, look_along_net_bearing
-from .robot_lanes import by_robot, room_for
+from .robot_lanes import by_robot, end_of_run, room_for
 from .turning import robot_of
 
 Float32 = NDArray[np.float32]
@@ -79,22 +79,46 @@ def _hold(given, frames, held):
                 into[i, k] = dot(load(turn[i, k]), load(chosen[i]))
 
 
+@kernel
+def _look_of_some(axes, robots, robot, arrays, work):
+    """``look_along_net_bearing`` of holonomic robots; others observe their rows unchanged."""
+    observations, frames, seen, turning = arrays
+    first = robots[0]
+    while first < robots[1]:
+        stop = end_of_run(turning, first, robots[1])
+        if turning[first]:
+            for i in range(first, stop):
+                for row in range(observations.shape[1]):
+                    for k in range(len(axes)):
+                        seen[i, row, k] = observations[i, row, k]
+        else:
+            given = observations, frames, seen
+            look_along_net_bearing(axes, (first, stop), robot, given, work)
+        first = stop
+
+
 def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
     """Raise a ValueError unless the action is the velocity, as a theorem requires.
 
     With ``bodies``, a speed and turn rates are accepted as well.
     """
-    model = scenario.model
-    if model.bounded or (bodies and model.theorem is not None):
+    refused = [
+        model
+        for model in scenario.models
+        if not (model.bounded or (bodies and model.theorem is not None))
+    ]
+    if not refused:
         return
+    model = refused[0]
     needed = "their velocity, as robot_model 'single_integrator'"
     if bodies:
         needed = (
             "a velocity, or a speed and turn rates, as robot_model 'single_integrator', 'unicycle' "
             "and 'nonholonomic_3d'"
         )
+    among = f" (robot {scenario.robot_model.index(model.name)})" if scenario.mixes_models else ""
     raise ValueError(
-        f"scenario has {model.name} robots, whose action is {model.action}; {theorem} needs "
+        f"scenario has {model.name} robots{among}, whose action is {model.action}; {theorem} needs "
         f"robots whose action is {needed}"
     )
 
@@ -145,7 +169,7 @@ class SafetyFilter(StatefulMixin):
         scenario: the scenario of the environments.
         num_envs: B.
         action_size: k, the number of numbers in the choice of a robot.
-        frame: "net_bearing" (x along f; single integrators only, the other models keep the body
+        frame: "net_bearing" (x along f; single integrators only, nonholonomic robots keep the body
             frame) or "local".
         num_threads: maximum number of threads; None is one per core.
     """
@@ -171,8 +195,10 @@ class SafetyFilter(StatefulMixin):
             num_threads = check_int("num_threads", num_threads, 1, MAX_TEAMS)
         n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
         self.scenario, self.action_size = scenario, action_size
-        self.turns_body = scenario.model.nonholonomic
-        self.along_net_bearing = frame == "net_bearing" and not self.turns_body
+        turning = scenario.nonholonomic_robots
+        self.turns_body, self.mixes_models = bool(turning.any()), bool(len({*turning.tolist()}) > 1)
+        self.along_net_bearing = frame == "net_bearing" and not turning.all()
+        self._turning = np.tile(turning, (num_envs, 1))
         self._robot = robot_of(scenario)
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
@@ -235,9 +261,20 @@ class SafetyFilter(StatefulMixin):
         """As ``observe``, into memory of ``new_view``, for a slice."""
         if self.along_net_bearing:
             arrays = observations, self._frames, shown
+            if self.mixes_models:
+                mixed = _look_of_some, part, self._robot, *arrays, self._turning
+                return over_robots(*mixed)
             return over_robots(look_along_net_bearing, part, self._robot, *arrays)
         mine = slice(*part[:2])
         return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
+
+    @cached_property
+    def choice_mask(self) -> NDArray[np.bool_]:
+        """True for the numbers of a choice that a robot has, (n, k); the others have no effect.
+
+        In mixed teams choices are padded to the widest. A robot has the first numbers.
+        """
+        return np.ones((self.scenario.n_robots, self.action_size), np.bool_)
 
     @property
     def held(self) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, lanes_of, report, take_in, tell, weigh_rows
+from .robot_lanes import LANES, end_of_run, lanes_of, report, take_in, tell, weigh_rows
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import TANK_MARGIN, check_margin, levels_follow_v
 from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
@@ -72,7 +72,13 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
     h = h if length > 0.0 else towards
-    h = scaled(h, -1.0 if dot(h, towards) < 0.0 else 1.0)  # h and −h are the same line
+    return _law(h, towards, net_bearing, scale, min_alignment, error)
+
+
+@inner_kernel(inline="code")
+def _law(line, towards, net_bearing, scale, min_alignment, error):
+    """``descending_velocity`` along a line ±h, for u = f/‖f‖, unit vectors."""
+    h = scaled(line, -1.0 if dot(line, towards) < 0.0 else 1.0)  # h and −h are the same line
     h = into_cap(h, towards, min_alignment, towards)
     along = dot(h, net_bearing)
     return scaled(h, scale * (max(along - error, 0.0) if error > 0.0 else along))
@@ -99,24 +105,24 @@ def _spend(axes, robots, robot, arrays, work):
         level = levels[first:stop]
         for lane in range(len(level)):
             lanes.level[lane] = level[lane]
+        _owe(axes, lanes, robot)
+        _want(axes, lanes, robot)
         for lane in range(LANES):
             f, degree = read(lanes.f, lane, axes), lanes.degree[lane]
-            error, (strength, _) = robot.error_chord * degree, split(f)
-            scale = descent_scale(strength, degree, radius, duration, limit)
-            owed = promised_descent(strength, scale, margin, duration, error)
-            desired = scaled(read(lanes.choice, lane, axes), limit)
-            speed, _ = split(desired)
-            wanted = rounded(scaled(desired, limit_factor(speed, limit)))
-            moved, _ = _moved(wanted, limit, duration)
-            earned = certain_descent(f, degree, moved, radius, error) - owed
-            accepted = lanes.level[lane] + earned >= 0.0
-            law = rounded(descending_velocity(desired, f, scale, margin, error))
-            sent, sees = _either(accepted, wanted, law), degree > 0.0
+            error, accepted = robot.error_chord * degree, lanes.accepted[lane] > 0.0
+            line, towards = read(lanes.heading, lane, axes), read(lanes.towards, lane, axes)
+            law = rounded(_law(line, towards, f, lanes.scale[lane], margin, error))
+            sent, sees = _either(accepted, read(lanes.wanted, lane, axes), law), degree > 0.0
+            write(sent, lanes.sent, lane)
+            lanes.accepted[lane] = 1.0 if accepted & sees else 0.0
+        for lane in range(LANES):
+            f, degree = read(lanes.f, lane, axes), lanes.degree[lane]
+            sent, sees, strength = read(lanes.sent, lane, axes), degree > 0.0, lanes.strength[lane]
             moved, length = _moved(sent, limit, duration)
-            deposit = certain_descent(f, degree, moved, radius, error) - owed
+            error = robot.error_chord * degree
+            deposit = certain_descent(f, degree, moved, radius, error) - lanes.owed[lane]
             write(scaled(sent, 1.0 if sees else 0.0), lanes.sent, lane)
             lanes.deposit[lane] = deposit if sees else 0.0
-            lanes.accepted[lane] = 1.0 if accepted & sees else 0.0
             along = dot(f, moved)
             told = sees & (strength > 0.0) & (length > 0.0)
             lanes.alignment[lane] = abs(along) / (length * strength) if told else np.nan
@@ -125,6 +131,41 @@ def _spend(axes, robots, robot, arrays, work):
         tell(lanes.accepted, first, stop, carried_out)
         tell(lanes.deposit, first, stop, deposits)
         report(axes, lanes, first, stop, actions, alignment, lyapunov_rate)
+
+
+# Short loops: a long one has more operations that wait for each other than a processor looks ahead.
+
+
+@inner_kernel(inline="text")
+def _owe(axes, lanes, robot):
+    """Length and direction of f in lanes, the factor s, and the promised decrease of V."""
+    margin, duration = robot.gate.min_alignment, robot.gate.duration
+    for lane in range(LANES):
+        lanes.strength[lane], towards = split(read(lanes.f, lane, axes))
+        write(towards, lanes.towards, lane)
+    for lane in range(LANES):
+        strength, degree = lanes.strength[lane], lanes.degree[lane]
+        scale = descent_scale(strength, degree, robot.merge_radius, duration, robot.speed_limit)
+        error = robot.error_chord * degree
+        lanes.scale[lane] = scale
+        lanes.owed[lane] = promised_descent(strength, scale, margin, duration, error)
+
+
+@inner_kernel(inline="text")
+def _want(axes, lanes, robot):
+    """Desired velocities in lanes, their lines, and whether they are accepted."""
+    limit, duration = robot.speed_limit, robot.gate.duration
+    for lane in range(LANES):
+        desired = scaled(read(lanes.choice, lane, axes), limit)
+        speed, line = split(desired)
+        write(_either(speed > 0.0, line, read(lanes.towards, lane, axes)), lanes.heading, lane)
+        write(rounded(scaled(desired, limit_factor(speed, limit))), lanes.wanted, lane)
+    for lane in range(LANES):
+        f, degree = read(lanes.f, lane, axes), lanes.degree[lane]
+        moved, _ = _moved(read(lanes.wanted, lane, axes), limit, duration)
+        error = robot.error_chord * degree
+        earned = certain_descent(f, degree, moved, robot.merge_radius, error) - lanes.owed[lane]
+        lanes.accepted[lane] = 1.0 if lanes.level[lane] + earned >= 0.0 else 0.0
 
 
 @inner_kernel(inline="code")
@@ -174,6 +215,23 @@ def _spend_bodies(axes, robots, robot, arrays, work):
         if strength > 0.0:
             alignment[i] = abs(f[0]) / strength
         lyapunov_rate[i] = -2.0 * dot(f, moved) / gate.duration
+
+
+@kernel
+def _spend_by_model(axes, robots, robot, arrays, work):
+    """``_spend`` of holonomic robots, ``_spend_bodies`` of nonholonomic ones."""
+    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
+    alignment, lyapunov_rate, turning = arrays[7:]
+    memory = observations, held, levels, actions, linked
+    given = (*memory, deposits, carried_out, alignment, lyapunov_rate)
+    first = robots[0]
+    while first < robots[1]:
+        run = first, end_of_run(turning, first, robots[1])
+        if turning[first]:
+            _spend_bodies(axes, run, robot, given, work)
+        else:
+            _spend(axes, run, robot, given, work)
+        first = run[1]
 
 
 @inner_kernel(inline="code")
@@ -319,9 +377,12 @@ class EnergyTank(SafetyFilter):
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
         """As ``SafetyFilter.apply_calls``; the gain of the step is booked by ``update``."""
-        act = _spend_bodies if self.turns_body else _spend
-        told = self._deposits, self.carried_out, self.alignment, self.lyapunov_rate
+        act: Any = _spend_bodies if self.turns_body else _spend
+        told: tuple[NDArray[Any], ...] = self._deposits, self.carried_out
+        told = *told, self.alignment, self.lyapunov_rate
         memory = self._held, self._levels, actions, self._linked
+        if self.mixes_models:
+            act, told = _spend_by_model, (*told, self._turning)
         return over_robots(act, part, self._robot, observations, *memory, *told)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:

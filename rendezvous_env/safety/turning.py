@@ -63,10 +63,11 @@ def robot_of(
     """Constants of a scenario's robots: margin ε, bearing errors η, numbers, rad (theorem N1').
 
     Turn limits are |ω| ≤ ``most``, rad/s; errors are validated. Limits are the lowest of the team,
-    so that every robot executes each command of a filter.
+    so that every robot executes each command of a filter; turn limits those of nonholonomic robots.
     """
-    layout = scenario.observation_layout
-    limits = [min(most, float(limit)) for limit in scenario.robot_bounds.min(axis=0)[1:]]
+    layout, turning = scenario.observation_layout, scenario.nonholonomic_robots
+    bounds = scenario.robot_bounds[turning] if turning.any() else scenario.robot_bounds
+    limits = [min(most, float(limit)) for limit in bounds.min(axis=0)[1:]]
     yaw, pitch, *_ = [*limits, 0.0, 0.0]
     dead_zone = float(scenario.dead_zone) if scenario.dead_zone > 0 else 1.0
     gate = Gate(scenario.dim == 2, min_alignment, dead_zone, float(scenario.tau), yaw, pitch)
@@ -74,7 +75,7 @@ def robot_of(
         neighbour_slots=layout.neighbour_slots,
         obstacle_slots=layout.obstacle_slots,
         gravity_row=layout.gravity.start,
-        turns=scenario.model.nonholonomic,
+        turns=bool(turning.any()),
         merge_radius=float(scenario.merge_radius),
         speed_limit=float(scenario.min_speed_limit),
         error_chord=error_chord(check_bearing_error(bearing_error)),

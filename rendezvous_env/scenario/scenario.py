@@ -16,8 +16,9 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import checks, graphs
-from ..checks import Metres, Seconds, check_int, positive
+from .. import checks, field_checks, graphs
+from ..checks import check_int, positive
+from ..field_checks import Metres, Seconds
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from ..graphs import Graph, GraphLike
@@ -71,7 +72,7 @@ def _check_dim(field: str, value: Any) -> int:
 
 
 @lists_fields
-@checks.names_unknown_fields("scenario")
+@field_checks.names_unknown_fields("scenario")
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
     """Complete description of an experiment: robots, graph, obstacles, time step and reward.
@@ -181,7 +182,7 @@ class Scenario:
     """Agent of a merged robot: it ends ("remove"), or stays with zero observations ("follow")."""
     sensing: Annotated[Sensing, as_sensing] = dataclasses.field(default_factory=Sensing)
     """Sensor imperfections; none by default. A list of n sensors gives each robot its own."""
-    reward: Annotated[RewardWeights, checks.of_class(RewardWeights)] = dataclasses.field(
+    reward: Annotated[RewardWeights, field_checks.of_class(RewardWeights)] = dataclasses.field(
         default_factory=RewardWeights
     )
     """Weights of the reward terms."""
@@ -198,7 +199,9 @@ class Scenario:
     """Robots that are not active keep their last command, or stand still (zero action). No effect
     while robots are synchronous."""
 
-    events: Annotated[Events, checks.of_class(Events)] = dataclasses.field(default_factory=Events)
+    events: Annotated[Events, field_checks.of_class(Events)] = dataclasses.field(
+        default_factory=Events
+    )
     """Failures and disturbances of robots: crashes, sensor failures, adversaries, drift of local
     frames, slip and velocity disturbances. None by default."""
 
@@ -206,7 +209,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         self._check_lists()  # before equal entries become one value
-        checks.check_fields(self)
+        field_checks.check_fields(self)
         if self.mixes_models:
             check_members(self.robot_model, self.models, self.dim)  # type: ignore[arg-type]
         if self.dim not in self.model.dims:
@@ -248,6 +251,13 @@ class Scenario:
     def mixes_models(self) -> bool:
         """True if robots of the team have different models."""
         return isinstance(self.robot_model, tuple)
+
+    @cached_property
+    def nonholonomic_robots(self) -> NDArray[np.bool_]:
+        """True for robots that move along their body axis only, (n,)."""
+        given = self.robot_model
+        names = given if isinstance(given, tuple) else (given,) * self.n_robots
+        return np.array([ROBOT_MODELS[name].nonholonomic for name in names])
 
     @cached_property
     def max_degree(self) -> float:
@@ -518,7 +528,7 @@ class Scenario:
     def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
         """Create a scenario from plain TOML or JSON data, with validation."""
         checks.mapping("a scenario's plain data", plain, "a mapping of fields to values")
-        return checks.from_plain(cls, plain, "scenario")
+        return field_checks.from_plain(cls, plain, "scenario")
 
     def to_plain(self) -> dict[str, Any]:
         """Return plain data for ``from_plain``; fields of None are omitted."""

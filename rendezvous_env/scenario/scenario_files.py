@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..checks import known_fields, raise_invalid, short_repr
+from ..checks import raise_invalid, short_repr
+from ..field_checks import known_fields
 from ..obstacles.maps import from_map
 from ..obstacles.maps.reading import OPTIONS
 

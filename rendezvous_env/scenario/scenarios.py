@@ -10,8 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ..checks import closest_match, raise_invalid, short_repr
+from ..checks import raise_invalid, short_repr
 from ..sensors.sensing import Sensing
+from ..suggestions import closest_match
 from .scenario import Scenario
 
 ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]

@@ -15,7 +15,6 @@ from ..checks import (
     format_limit,
     is_int,
     mapping,
-    nearest_word,
     raise_invalid,
     short_repr,
 )
@@ -25,6 +24,7 @@ from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
 from ..obstacles.moving import moves
 from ..obstacles.obstacle_set import check_outside, pack
+from ..suggestions import nearest_word
 
 _ROUNDING = 1e-9
 
@@ -42,8 +42,8 @@ class StartOptions(NamedTuple):
 def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | None) -> StartOptions:
     """Check the options of a reset of B teams, see ``Simulator.reset``.
 
-    An unknown key is ignored, as in Gymnasium, unless it is similar to an option or to a field of
-    the scenario, which no reset changes.
+    An unknown key is ignored, as in Gymnasium. One that is similar to an option is rejected, and so
+    is a field of the scenario, since a reset does not change it.
 
     Raises:
         ValueError: naming the option, its value and what would be right.

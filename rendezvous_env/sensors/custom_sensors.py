@@ -13,7 +13,7 @@ from ..physics.random_streams import SENSING, mix, stream_key, uniform
 from .chance import step_key
 
 
-class Seen:
+class ObservationBatch:
     """Observations of B environments at one time, to be modified in place."""
 
     neighbours: NDArray[np.float32]
@@ -57,12 +57,12 @@ def _fill(seeds, episodes, steps, salt, out):
             out[team, number] = uniform(key, number)
 
 
-Imperfection = Callable[[Seen], None]
+Imperfection = Callable[[ObservationBatch], None]
 IMPERFECTIONS = Registry("sensor imperfection", "rv.sensor_imperfection")
 
 
 def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
-    """Register a sensor imperfection: a function that modifies ``Seen`` in place.
+    """Register a sensor imperfection: a function that modifies an ``ObservationBatch``.
 
     ``Sensing(custom=(name,))`` applies it after all others. It must treat environments
     independently and be stateless. It may zero and rotate rows; absent rows stay absent. With fewer
@@ -84,7 +84,7 @@ def as_custom(field: str, value: Any) -> tuple[str, ...]:
     return tuple(value)
 
 
-def apply_custom(seen: Seen) -> None:
+def apply_custom(seen: ObservationBatch) -> None:
     """Apply the custom imperfections of a scenario."""
     tables = seen.neighbours, seen.obstacles
     for name in seen.scenario.sensing.custom:

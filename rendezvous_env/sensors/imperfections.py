@@ -1,8 +1,8 @@
 """Sensor imperfections, and their effect on individual rows.
 
 An imperfection is a setting in ``sensing.py``. Here it has a constant of ``Imperfections``, its
-value in ``imperfections_of`` and its equation. ``neighbour_seen`` combines them, except for range,
-field of view and noise, which the stage ``apply_noise`` applies over lanes.
+value in ``imperfections_of`` and its equation. ``neighbour_seen`` combines them. The stage
+``apply_noise`` applies range, field of view and noise over lanes.
 
 Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs or triples; rotations keep their
 length.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from .. import checks
+from .. import checks, field_checks
 from .sensing import PER_ROBOT, Sensing
 
-_one = checks.of_class(Sensing)
+_one = field_checks.of_class(Sensing)
 
 
 def as_sensing(field: str, value: Any) -> Sensing:

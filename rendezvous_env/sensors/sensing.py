@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import checks
-from ..checks import known_arguments
+from .. import checks, field_checks
+from ..field_checks import known_arguments
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from ..limits import MAX_DELAY, MAX_SECTORS
@@ -76,7 +76,7 @@ def _check_table(field: str, value: Any) -> tuple[tuple[float, float], ...]:
 
 
 @lists_fields
-@checks.names_unknown_fields("sensing")
+@field_checks.names_unknown_fields("sensing")
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sensing:
     """Sensor model: differences from exact sensors, which measure the bearing of every neighbour.
@@ -167,7 +167,7 @@ class Sensing:
         lengths = {name: len(own) for name, own in given.items() if checks.is_sequence(own)}
         if lengths:  # no field: a list of equal values becomes one value
             object.__setattr__(self, "_lengths", lengths)
-        checks.check_fields(self, "sensing.{}")
+        field_checks.check_fields(self, "sensing.{}")
         if self.delay > 0 and self.delay_time > 0.0:
             seconds = checks.format_limit(self.delay_time)
             raise ValueError(

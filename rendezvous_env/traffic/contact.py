@@ -279,9 +279,9 @@ def _halt_all(point, time, world, plans, halts):
 def nearest_allowed(wish, held, levels, count, dim):
     """Velocity nearest to ``wish``, m per step, among those that enter no touched obstacle.
 
-    Obstacle k is not entered if nᵀw ≥ b for one of its two normals, rows 2k and 2k + 1 of ``held``,
-    with b in ``levels``. Candidates are ``wish`` and its projections onto one, two or, in 3-D,
-    three planes nᵀw = b. Returns whether there is such a velocity.
+    Obstacle k is not entered if nᵀw ≥ b for one of its two normals. These are rows 2k and 2k + 1 of
+    ``held``, with b in ``levels``. Candidates are ``wish`` and its projections onto one, two or, in
+    3-D, three planes nᵀw = b. Returns whether there is such a velocity.
     """
     if _is_allowed(wish, held, levels, count):
         return True, wish

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import tyro
 from conftest import ROOT, run_python
+from parameters import slow
 
 import baselines
 from baselines import policy
@@ -139,7 +140,7 @@ class TestList:
         said = self.lines("scenarios", capsys)
         for name in scenarios.names():
             assert f"{name} {scenarios.get(name).n_robots} robots" in said
-        assert "3 fixed obstacles, which robots pass through, one start" in said
+        assert "3 fixed obstacles, which robots pass through, given initial condition" in said
         assert "random tree graph with gains of 0.5 to 2 m/s" in said
         assert "rooms 5 robots in the plane, complete graph, rooms of drawn walls" in said
         assert "complete graph, sensing with noise = 0.3, dropout = 0.1" in said
@@ -211,8 +212,8 @@ def test_reproduce_writes_figure_and_data(figure, through, tmp_path):
         ("--help", {"numba", "numpy", "tyro", "torch"}),
         ("compare --scenarios duo --episodes 2 --no-figures --policies bearing-only random",
          {"torch", "stable_baselines3", "matplotlib", "pygame"}),
-        ("render --out a.png", {"pygame", "torch"}),
-        ("render --size 120 --fps 5 --speed 2 --out a.gif", {"torch", "matplotlib.pyplot"}),
+        slow("render --out a.png", {"pygame", "torch"}),
+        slow("render --size 120 --fps 5 --speed 2 --out a.gif", {"torch", "matplotlib.pyplot"}),
     ],
 )  # fmt: skip
 def test_command_imports_nothing_heavy(words, heavy, tmp_path, monkeypatch):

@@ -28,7 +28,7 @@ COMMANDS = {
 }
 """Commands that may take long; the others share the same lines of cli.py."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
-KILLS = 16
+KILLS = 8
 
 
 def start(words, folder, before=""):
@@ -63,7 +63,7 @@ class TestCommands:
     )
     def test_signal_ends_running_command(self, command, number, tmp_path):
         process = start([command, *COMMANDS[command]], tmp_path)
-        time.sleep(5.0)
+        time.sleep(4.0)
         assert process.poll() is None
         status, said, wrong, took = stop(process, number)
         assert status == 128 + number and took < 5.0
@@ -71,6 +71,7 @@ class TestCommands:
         assert "interrupted" in wrong or "stopped at step" in said
         assert not list(tmp_path.rglob("*.part.*"))
 
+    @pytest.mark.slow
     def test_signal_ends_command_while_importing(self, tmp_path):
         for wait in (0.3, 0.6, 0.9):
             process = start(["compare", *COMMANDS["compare"]], tmp_path)
@@ -83,8 +84,8 @@ class TestCommands:
 @pytest.mark.parametrize(
     ("number", "body"),
     [
-        (signal.SIGINT, "print('at work', flush=True)\n    while True:\n"
-         "        try: time.sleep(60)\n        except BaseException: pass"),
+        slow(signal.SIGINT, "print('at work', flush=True)\n    while True:\n"
+             "        try: time.sleep(60)\n        except BaseException: pass"),
         (signal.SIGTERM, "work = numba.njit(nogil=True)(spin)\n    work(numpy.ones(1))\n"
          "    print('at work', flush=True)\n    work(numpy.zeros(1))"),
     ],

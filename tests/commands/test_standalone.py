@@ -6,6 +6,7 @@ import py_compile
 import re
 import sys
 import zipfile
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -71,6 +72,18 @@ def act_along(file, scenario, policy, seed, steps):
             worst, moved = max(worst, np.abs(one - other).max()), moved + np.linalg.norm(one)
     assert count > 30 and moved > 1.0
     return worst
+
+
+@pytest.mark.parametrize("robot", [0, 7])
+def test_file_of_a_robot_of_a_mixed_team_is_that_of_its_model(robot, tmp_path, capsys):
+    path = tmp_path / "robot.py"
+    words = ["export", "--policy", "by-model", "--standalone", str(path), "--checks", "50"]
+    assert cli.main([*words, "--scenario", "mixed-8", "--robot", str(robot)]) == 0
+    assert f"robot {robot} of mixed-8" in "".join(capsys.readouterr().out.split("\n"))
+    file, one = standalone.load(path), RobotPolicy("mixed-8", "by-model", robot=robot)
+    command = one.act([[0.6, 0.8], [1.0, 0.0]])
+    np.testing.assert_allclose(file.RobotPolicy().act([[0.6, 0.8], [1.0, 0.0]]), command, atol=1e-6)
+    assert np.linalg.norm(command) > 0.1
 
 
 class TestAgreement:
@@ -248,6 +261,11 @@ except ValueError as error:
             ["--standalone", "x.py", "--policy", "os:getcwd"],
             "posix is not written in a Python file",
         ),
+        (
+            ["--standalone", "x.py", "--scenario", "mixed-8", "--policy", "by-model"],
+            "(--robot i to",
+        ),
+        (["--standalone", "x.py", "--robot", "8"], "--robot 8: robot is 8; it must be an integer"),
         (["--standalone", "folder.py"], "--standalone folder.py: is a folder; name a file"),
         (["--standalone", "own.py"], "--standalone own.py: is there already, and not of this"),
         (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),
@@ -291,6 +309,14 @@ def test_standalone_file_of_long_path_is_recognised(exported, tmp_path):
 
 
 class TestBundle:
+    def test_stand_ins_replace_words_that_exist(self):
+        chosen = (standalone._OF_OTHER_DIMENSIONS, standalone._OF_OTHER_GUIDES)
+        replaced = [*standalone._STAND_INS, *standalone._WITHOUT_BODIES]
+        replaced += [name for tables in chosen for table in tables.values() for name in table]
+        assert len(replaced) > 10
+        for name in replaced:
+            assert hasattr(import_module(name.module), name.word), name
+
     def test_bundle_includes_steering_and_disambiguates_names(self, exported):
         """The command compares file and policy on random ticks."""
         path = exported("learned-tank", "unicycle-6")

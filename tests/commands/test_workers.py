@@ -41,6 +41,7 @@ class TestEach:
         processes = {result[1] for result in found.values()}
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
+    @pytest.mark.slow
     def test_matrix_products_use_one_thread_everywhere(self, set_threads):
         """OpenBLAS and torch round differently on several threads, by default one per core."""
         set_threads(3)
@@ -110,6 +111,7 @@ def test_compare_with_two_workers_equals_one(tmp_path, monkeypatch):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_verify_with_two_workers_equals_one(tmp_path):
     claims = [claim for claim in CLAIMS if claim.name in ("lemma-1", "theorem-1")]
     found = []
@@ -125,6 +127,7 @@ class TestSeeds:
         own = {"total_steps": 2 * UPDATE, "eval_every": 0, "num_threads": None, "seeds": (0, 3)}
         return command.Config(**SMALL | own | {"out": out} | changes)
 
+    @pytest.mark.slow
     def test_train_seeds_in_parallel_equal_sequential_and_resume(self, tmp_path):
         one, two = tmp_path / "1", tmp_path / "2"
         assert command.run(self.config(two, jobs=2)) == 0
@@ -147,6 +150,7 @@ class TestSeeds:
         assert (tmp_path / "seed-3.txt").exists()
 
 
+@pytest.mark.slow
 def test_many_tasks_start_workers_at_once(tmp_path, monkeypatch):
     """The first task compiles kernels and may take as long as many tasks, with idle cores."""
     monkeypatch.setattr(tasks, "_ALONE", 60.0)

@@ -27,7 +27,7 @@ def batch(**changed):
     values = dict.fromkeys(Episodes.__dataclass_fields__, nothing)
     values |= {
         "success": np.array([True, True, True, False]),
-        "clean": np.array([True, True, False, False]),
+        "collision_free": np.array([True, True, False, False]),
         "time": np.array([2.0, 4.0, 3.0, 10.0]),
         "contacts": np.array([0, 0, 5, 0]),
         "time_bound": np.array([8.0, 8.0, 4.0, np.nan]),
@@ -58,7 +58,8 @@ class TestFiles:
             assert [int(r["start"]) for r in own] == list(range(starts))
             assert int(row["episodes"]) == starts
             for name, column, of in (
-                ("success", "success", np.mean), ("collision_free_success", "clean", np.mean),
+                ("success", "success", np.mean),
+                ("collision_free_success", "collision_free", np.mean),
                 ("median_time", "time", np.median), ("path_length", "path_length", np.median),
                 ("contacts", "contacts", np.mean), ("min_clearance", "clearance", min),
                 ("max_rise_between_merges", "max_rise_between_merges", max),
@@ -132,12 +133,12 @@ class TestFiles:
 
 
 class TestMeasures:
-    def test_clean_is_undefined_if_obstacles_are_ignored(self):
+    def test_collision_free_is_undefined_if_obstacles_are_ignored(self):
         done, _ = run_play(scenarios.get("fig3"), "bearing-only", 3)
         assert done.success.tolist() == [True] and done.clearance[0] < -0.5
-        assert np.isnan(done.clean).all()
+        assert np.isnan(done.collision_free).all()
         stopped, _ = run_play(scenarios.get("fig4"), "bearing-only", 3)
-        assert stopped.clean.tolist() == [0.0]
+        assert stopped.collision_free.tolist() == [0.0]
 
     def test_policy_may_modify_observations(self):
         def turned(seen, time):
@@ -252,21 +253,23 @@ class TestStatistics:
         assert median == 1.0 and np.isnan(interval).all()
         assert np.isnan(statistics.fraction_interval(np.ones(1, bool))).all()
 
-    def test_clean_is_undefined_without_contacts(self):
-        through = batch(clean=np.full(4, np.nan))
+    def test_collision_free_is_undefined_without_contacts(self):
+        through = batch(collision_free=np.full(4, np.nan))
         row = statistics.summarise(TEN_SECONDS, "p", through)
         assert np.isnan(
             [row["collision_free_success"], row["collision_free_low"], row["collision_free_high"]]
         ).all()
         assert row["success"] == 0.75 and row["success_low"] > 0
-        assert [episode["clean"] for episode in through.rows()] == [None] * 4
-        sooner = batch(clean=through.clean, time=np.array([1.0, 1, 1, 10]))
+        assert [episode["collision_free"] for episode in through.rows()] == [None] * 4
+        sooner = batch(collision_free=through.collision_free, time=np.array([1.0, 1, 1, 10]))
         (pair,) = statistics.compare_pairs("s", {"bearing-only": through, "other": sooner})
         assert np.isnan(pair["collision_free_difference"])
         assert pair["probability_of_improvement"] == (1 + 1 + 1 + 0.5) / 4  # by meeting sooner
 
     def test_paired_rows_match_hand_computation(self):
-        better = batch(clean=np.array([True, True, True, False]), time=np.array([1.0, 4, 9, 10]))
+        better = batch(
+            collision_free=np.array([True, True, True, False]), time=np.array([1.0, 4, 9, 10])
+        )
         played = {"bearing-only": batch(), "other": better}
         (row,) = statistics.compare_pairs("s", played)
         assert (row["policy"], row["against"]) == ("other", "bearing-only")
@@ -284,7 +287,7 @@ class TestStatistics:
         assert most < 3e8 and 0.49 < low < 0.5 < high < 0.51
 
     def test_default_reference_without_law_1_is_best(self):
-        two = {"a": batch(clean=np.zeros(4, bool)), "b": batch()}
+        two = {"a": batch(collision_free=np.zeros(4, bool)), "b": batch()}
         assert [row["policy"] for row in statistics.compare_pairs("s", two)] == ["a"]
 
 
@@ -328,7 +331,7 @@ def test_first_failure_is_recorded(tmp_path):
     config = compare.Config(**words, episodes=12, keep=1, seed=2, out=tmp_path / "out")
     assert compare.run(config) == 0
     rows = results.read_csv(config.out / "episodes.csv")
-    failed = [int(row["start"]) for row in rows if row["clean"] == "0"]
+    failed = [int(row["start"]) for row in rows if row["collision_free"] == "0"]
     kept = {key[2]: one for key, one in read(config.out).recordings.items()}
     assert failed and sorted(kept) == sorted({0, failed[0]})
     row, last = rows[failed[0]], kept[failed[0]]

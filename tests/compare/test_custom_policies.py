@@ -69,6 +69,7 @@ def mine(tmp_path, monkeypatch):
     sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 def test_custom_policy_is_compared_by_workers(mine, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     names = [f"{mine}:law", f"{mine}:sideways", f"{mine}:Away", "bearing-only"]
@@ -156,6 +157,7 @@ def test_custom_policy_errors_are_reported_before_work(mine, tmp_path, name, mes
     assert not drawn.out.parent.exists()
 
 
+@pytest.mark.slow
 def test_later_custom_policy_error_names_policy(mine, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     names, out = (f"{mine}:law", f"{mine}:of_one_team"), tmp_path / "out"

@@ -57,7 +57,7 @@ def test_undefined_values_and_intervals_are_not_drawn(tmp_path):
     nothing = dict.fromkeys(("success_low", "success_high", "time_low", "time_high"), np.nan)
     alone = row("fig3", "tangent", np.nan, episodes=1, **nothing)
     axes = figures.success_figure([alone]).axes[0]
-    assert axes.get_title() == "fig3, one start"
+    assert axes.get_title() == "fig3, one episode"
     [success] = axes.containers  # and none of collision-free success
     assert success.lines[0].get_xdata() == [100.0]
     [bars] = success.lines[2]

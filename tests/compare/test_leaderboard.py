@@ -63,8 +63,11 @@ class TestStatistics:
             for name in ("one", "two")
             for field, seed, clean in (("a", 0, 0.0), ("a", 4, 0.5), ("b", 2, 1.0))
         ]  # fmt: skip
-        assert tables.scores_of(own[:3], "clean").tolist() == [[0.0, 1.0]]
-        assert tables.rows_of(own)[0].items() >= {"runs": 2, "clean": 0.5, "robot_steps": 3}.items()
+        assert tables.scores_of(own[:3], "collision_free").tolist() == [[0.0, 1.0]]
+        assert (
+            tables.rows_of(own)[0].items()
+            >= {"runs": 2, "collision_free": 0.5, "robot_steps": 3}.items()
+        )
         assert tables.improvements(own)[0]["probability"] == 0.5
 
 
@@ -94,6 +97,7 @@ class TestBarrier:
         assert paid[0] > 20 and paid[1] == 0
 
 
+@pytest.mark.slow
 def test_filters_differ_in_contacts_and_rises():
     field, risen, touches = scenarios.get("clutter-16"), {}, {}
     for safety in ("none", "rule", "heading"):
@@ -137,9 +141,9 @@ def test_leaderboard_writes_record_per_run_and_tables(board):
     assert cards[1]["results"] != cards[2]["results"]
     rows = {row["algorithm"]: row for row in command.results.read_csv(board / "leaderboard.csv")}
     own, law = rows["bearing-only"], cards[0]["results"]
-    assert float(own["clean"]) == np.mean(law["clean"])
+    assert float(own["collision_free"]) == np.mean(law["clean"])
     assert float(own["touches"]) == pytest.approx(1000 * sum(law["touches"]) / sum(law["steps"]))
-    assert rows["ppo-heading"]["risen"] == "0.0" and own["clean_low"] == ""
+    assert rows["ppo-heading"]["risen"] == "0.0" and own["collision_free_low"] == ""
     names = "cells replays leaderboard.csv improvement.csv price.png profiles.png README.md"
     assert {path.name for path in board.iterdir()} == set(names.split())
     replays = {path.parent.name + path.name for path in board.glob("replays/*/*")}
@@ -153,11 +157,12 @@ def test_law_is_evaluated_as_in_compare(board):
     played = play_job(job, episodes=8, seed=EVALUATION_SEEDS).episodes
     law = cards_of.read_cards(board)[0]["results"]
     assert law["success"] == played.success.astype(int).tolist()
-    assert law["clean"] == played.clean.astype(int).tolist()
+    assert law["clean"] == played.collision_free.astype(int).tolist()
     np.testing.assert_allclose(law["time"], played.time, atol=1e-6)
     assert law["touches"] == played.contacts.tolist()
 
 
+@pytest.mark.slow
 def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
     card = board / "cells/ppo-heading/clutter-8-v1-seed-1.json"
     other = board.with_name("other.json")
@@ -208,6 +213,7 @@ def test_finished_runs_are_not_repeated(board, tmp_path, monkeypatch):
     assert len(done) == 3
 
 
+@pytest.mark.slow
 def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys):
     done, run_of = [], command.run_of
     shutil.copytree(board, out := tmp_path / "out")
@@ -225,10 +231,11 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
             command.run(replace(more, **changes))
     path = out / "cells" / "tank-joined" / "clutter-8-v1-seed-0.json"
     path.write_text(path.read_text().replace(scenarios.digests()["clutter-8-v1"], "0" * 64))
-    with pytest.raises(UserError, match="digest of other starts"):
+    with pytest.raises(UserError, match="digest of other initial conditions"):
         command.run(more)
 
 
+@pytest.mark.slow
 def test_runs_without_replay_are_repeated_with_record(board, tmp_path):
     shutil.copytree(board, out := tmp_path / "out")
     cards = [card["results"] for card in cards_of.read_cards(out)]
@@ -307,7 +314,9 @@ def test_shipped_records_reproduce_tables(tier, monkeypatch):
     kept = command.results.read_csv(out / "leaderboard.csv")
     assert list(rows) == [row["algorithm"] for row in kept]
     for row in kept:
-        assert rows[row["algorithm"]]["clean"] == pytest.approx(float(row["clean"]))
+        assert rows[row["algorithm"]]["collision_free"] == pytest.approx(
+            float(row["collision_free"])
+        )
     exact = [c for c in cards if not c["field"].startswith("rendezvous/noisy")]
     certified = [c["results"] for c in exact if c["guarantee"] == "heading"]
     # float32 alone: two steps of MASAC with unicycles, by 5e-9 of V at the start
@@ -325,7 +334,7 @@ def test_shipped_records_reproduce_tables(tier, monkeypatch):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for name, start in (("none", "| nothing"), ("heading", "| rule, **headings**")):
         row = shown[f"ppo-{name}"]
-        assert f"{start} | {100 * row['clean']:.1f} | {row['time']:.0f} |" in readme
+        assert f"{start} | {100 * row['collision_free']:.1f} | {row['time']:.0f} |" in readme
 
 
 def table_of(cards):

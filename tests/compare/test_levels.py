@@ -66,4 +66,6 @@ def test_sweep_tables_replace_matrix(tmp_path, capsys):
     words = ["--scenarios", "duo", "--policies", "bearing-only", "--episodes", "3", "--no-figures"]
     assert cli.main(["compare", *words, "--sensing", "noise=0,0.2", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "duo: noise, 3 starts" in said and "100, " in said and "collision-free, %  " not in said
+    assert (
+        "duo: noise, 3 episodes" in said and "100, " in said and "collision-free, %  " not in said
+    )

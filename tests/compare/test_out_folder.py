@@ -125,11 +125,13 @@ class TestGoingOn:
         assert compare.run(config(out, seed=1, fresh=True)) == 0
         assert read(out).run["seed"] == 1 and not part_of(out).exists()
 
+    @pytest.mark.slow
     def test_figure_options_may_change_on_resume(self, tmp_path):
         stopped(config(tmp_path / "out"), 2)
         assert compare.run(config(tmp_path / "out", figures=True)) == 0
         assert {path.name for path in read(tmp_path / "out").figures} >= {"success.png"}
 
+    @pytest.mark.slow
     def test_changed_weights_or_law_are_another_comparison(self, tmp_path, monkeypatch, registry):
         settings = config(tmp_path, policies=("learned", "zero"))
         jobs, found = compare.plan(settings), []
@@ -170,6 +172,7 @@ class TestPlace:
                 compare.run(changed)
         return changed
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("name", "call", "seed"),
         [("seal", 1, 0), ("rename", 1, 0), ("replace", 1, None), ("rename", 2, 9)],
@@ -184,6 +187,7 @@ class TestPlace:
         assert read(finished.out).run["seed"] == 9
         assert [path.name for path in finished.out.parent.iterdir()] == ["out"]
 
+    @pytest.mark.slow
     def test_finished_tasks_are_not_repeated(self, finished, monkeypatch):
         summary = finished.out.with_name("short.json")
         changed = self.killed_at(replace(finished, json=summary), monkeypatch, "replace", 1)
@@ -192,6 +196,7 @@ class TestPlace:
             assert compare.run(changed) == 0
         assert read(finished.out).run["seed"] == json.loads(summary.read_text())["seed"] == 9
 
+    @pytest.mark.slow
     def test_older_results_are_restored(self, finished, monkeypatch):
         self.killed_at(finished, monkeypatch, "replace", 1)
         other = replace(finished, seed=3)
@@ -202,6 +207,7 @@ class TestPlace:
             compare.run(replace(other, fresh=True))
         assert read(finished.out).run["seed"] == 0
 
+    @pytest.mark.slow
     def test_older_results_are_removed_completely(self, finished):
         assert compare.run(replace(finished, figures=True, pdf=True)) == 0
         assert cli.main(["report", str(finished.out)]) == 0
@@ -270,6 +276,7 @@ class TestLocks:
         assert cli.main([*words, "--out", str(out)]) == 0
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
+    @pytest.mark.slow
     def test_concurrent_train_is_rejected(self, tmp_path, one_line):
         folder = tmp_path / "run"
         assert ppo.run(training(folder, total_steps=UPDATE, eval_every=0)).status == 0

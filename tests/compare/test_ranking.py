@@ -23,7 +23,7 @@ def played(scenario, policy, clean, time=5.0):
     hits = clean if isinstance(clean, np.ndarray) else np.arange(STARTS) < clean * STARTS
     count = len(hits)
     values = dict.fromkeys(Episodes.__dataclass_fields__, np.zeros(count))
-    values |= {"success": np.ones(count, bool), "clean": hits.astype(float)}
+    values |= {"success": np.ones(count, bool), "collision_free": hits.astype(float)}
     values |= {"time": np.full(count, time), "time_bound": np.full(count, 10.0)}
     return Played(Job(scenarios.get(scenario), policy), Episodes(**values), [])
 
@@ -61,17 +61,17 @@ class TestRanking:
         [found] = ranking.rank([played("fig4", name, hit) for name, hit in names.items()])
         assert found.top == ("tangent", "tangent-joined")
 
-    def test_one_start_of_a_drawn_scenario_decides_nothing(self):
+    def test_one_episode_of_a_random_scenario_decides_nothing(self):
         one, none = np.ones(1, bool), np.zeros(1, bool)
         pair = [played("clutter-8", "tangent", one), played("clutter-8", "bearing-only", none)]
         (found,) = ranking.rank(pair)
         assert found.best is None and not found.is_contest and found.tied == ()
         assert ranking.answer([found]) == (
-            "Nothing to win: one start of a drawn scenario decides nothing; play more of them with "
+            "Nothing to win: one episode of a random scenario decides nothing; play more with "
             "--episodes."
         )
         text = shown([found], 80)
-        assert "*" not in text and "clutter-8: one start decides nothing" in text
+        assert "*" not in text and "clutter-8: one episode decides nothing" in text
         (only,) = ranking.rank(pair[:1])
         assert only.undecided == "" and "decides" not in shown([only], 80)
 
@@ -81,7 +81,7 @@ class TestRanking:
         assert found.best is None and found.tied == () and not found.is_contest
         assert ranking.leaders([found]) == []
         said = ranking.answer([found])
-        assert said == "Nothing to win: no policy met without a collision on any start."
+        assert said == "Nothing to win: no policy met without a collision in any episode."
         text = shown([found], 80)
         assert "*" not in text and "=" not in text and "clutter-8: no policy met" in text
 
@@ -159,7 +159,7 @@ class TestMatrix:
     def test_matrix_explains_marks(self):
         shares = {"tangent": (1.0, 5.0), "tangent-joined": (1.0, 9.0), "bearing-only": (0.25, 5.0)}
         text = shown(ranking.rank([played("fig4", n, *share) for n, share in shares.items()]), 80)
-        assert "100*" in text and "100=" in text and "  25" in text and "holds 0" in text
+        assert "100*" in text and "100=" in text and "  25" in text and "contains 0" in text
         assert text.index("tangent ") < text.index("bearing-only")  # as they were asked for
 
     def test_matrix_has_no_mark_without_contest(self):
@@ -198,7 +198,7 @@ class TestTables:
         text = shown(tables.results_table([fell, rose], {"fig4": scenarios.get("fig4")}))
         lines = {line.split()[0]: line for line in text.splitlines() if line.strip()}
         assert " none " in lines["tangent"] and " 0.25 " in lines["zero"]
-        assert "fig4, 1 start" in text and "nan" not in text and "[" not in lines["tangent"]
+        assert "fig4, 1 episode" in text and "nan" not in text and "[" not in lines["tangent"]
 
     def test_tables_show_small_lengths(self):
         """In a world of micrometres V may double by an increase of 10⁻⁹ m²/s."""

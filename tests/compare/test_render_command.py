@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from parameters import slow
 from PIL import Image
 
 import baselines
@@ -100,8 +101,8 @@ def test_mp4_holds_same_frames(gif, tmp_path):
 
 @pytest.mark.parametrize(
     ("scenario", "best"),
-    [("fig4", "learned-tank"), ("clutter-3d", None), ("uav-6", "nonholonomic-3d"),
-     ("duo", "bearing-only")],
+    [("fig4", "learned-tank"), slow("clutter-3d", None), slow("uav-6", "nonholonomic-3d"),
+     slow("duo", "bearing-only")],
 )  # fmt: skip
 def test_still_uses_best_fitting_policy(scenario, best, tmp_path, capsys):
     policy = "bearing-only" if best is None else None

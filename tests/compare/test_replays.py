@@ -105,6 +105,7 @@ def test_nondeterministic_run_has_no_replay():
     assert replays.replay_of(play(player()), player()) is None
 
 
+@pytest.mark.slow
 def test_replay_is_reproduced_from_record(board, tmp_path, capsys):
     name = "bearing-only/clutter-8-v1-seed-0.json"
     card, path = board / "cells" / name, board / "replays" / name

@@ -25,14 +25,17 @@ def test_first_run_is_merged_interval_rule():
     """The other runs differ from it and from each other."""
     found, _ = runs(CLUTTER, 4, episodes=20, seed=5)
     assert len(found) == 4 + 1  # the planner's is the last
-    assert all(run.clean.shape == (20,) and (run.clean <= run.success).all() for run in found)
+    assert all(
+        run.collision_free.shape == (20,) and (run.collision_free <= run.success).all()
+        for run in found
+    )
 
     first = upper_bound.randomised(CLUTTER, seed=0, spread=0.0)
     rule = baselines.make(
         "tangent-joined-tuned", CLUTTER, clearance=first.rule.clearance, persistence=0.0
     )
     done, _ = play(CLUTTER, lambda: rule, margin=0.05, episodes=20, seed=5)
-    assert (done.clean == found[0].clean).mean() >= 0.9
+    assert (done.collision_free == found[0].collision_free).mean() >= 0.9
     others = (upper_bound.randomised(CLUTTER, seed=run, spread=0.6) for run in (1, 2, 3))
     assert len({rollout(CLUTTER, other, seed=5).times[-1] for other in others}) == 3
 
@@ -47,23 +50,26 @@ def test_ceiling_row_counts_initial_conditions():
     planned = [1, 1, 1, 0]
     starts = [([1, 1, 0, 0], [1, 0, 0, 0]), ([0, 1, 1, 0], [0, 1, 0, 0]), (planned, planned)]
     found = [
-        SimpleNamespace(success=np.array(success, bool), clean=np.array(clean, float))
-        for success, clean in starts
+        SimpleNamespace(success=np.array(success, bool), collision_free=np.array(free, float))
+        for success, free in starts
     ]
     row = upper_bound.row_of(CLUTTER, found)
     assert row == {
         "scenario": "clutter-12", "episodes": 4, "runs": 2,
-        "clean_planner": 0.75, "clean_best": 0.5, "success_best": 0.75,
-        "clean_mean": 0.25, "never_clean": 2, "never_met": 1,
+        "collision_free_planner": 0.75, "collision_free_best": 0.5, "success_best": 0.75,
+        "collision_free_mean": 0.25, "never_collision_free": 2, "never_met": 1,
     }  # fmt: skip
 
 
 def test_planner_is_upper_bound():
     trap = scenarios.get("trap")
     found, row = runs(trap, 1, episodes=20, seed=1000)
-    assert row["clean_planner"] == 1.0 and found[-1].clean.mean() > found[0].clean.mean()
+    assert (
+        row["collision_free_planner"] == 1.0
+        and found[-1].collision_free.mean() > found[0].collision_free.mean()
+    )
     found, row = runs(scenarios.get("clutter-3d"), 1, episodes=2, seed=0)
-    assert len(found) == 2 and row["clean_planner"] == 1.0
+    assert len(found) == 2 and row["collision_free_planner"] == 1.0
 
 
 def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
@@ -77,6 +83,6 @@ def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
     assert row["scenario"] == "clutter-4" and row["runs"] == "2" and row["episodes"] == "3"
     rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(tmp_path / "results.csv")}
     share = rows["clutter-4", "privileged-planner"]["collision_free_success"]
-    assert float(share) == float(row["clean_planner"]) == 1.0
+    assert float(share) == float(row["collision_free_planner"]) == 1.0
     said = capsys.readouterr().out
     assert "What can be reached" in said and "knows the map and all positions" in said

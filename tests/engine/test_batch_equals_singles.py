@@ -36,11 +36,13 @@ INERT = {"n_robots": 5, "graph": UNEQUAL, "robot_model": "double_integrator"}
 FAST = {
     "discs": five("single_integrator-2d", obstacles=SHAPES[:1], **TIGHT),
     "shapes": five("single_integrator-2d", obstacles=SHAPES, obstacle_contact="stop", **TIGHT),
-    "walls": five("single_integrator-2d", obstacles=WALLS, **TIGHT),
-    "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
     "unicycles": five("unicycle", graph=DRAWN, obstacles=SHAPES[:1], **TIGHT),
     "two rows": Scenario(n_robots=6, graph="cycle", **TIGHT),
     "errors in the open": five("single_integrator-2d", sensing=WORST, spawn_size=3.0),
+}
+SLOW = {
+    "walls": five("single_integrator-2d", obstacles=WALLS, **TIGHT),
+    "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
     "measured": five("unicycle", obstacles=SHAPES[:1], sensing=MEASURED, **TIGHT),
     "packing": scenarios.get("robotarium-4"),
     "failures": five(
@@ -49,8 +51,6 @@ FAST = {
         **TIGHT,
     ),
     "own clocks": five("unicycle", activation=Activation(kind="bounded", max_wait=3), **TIGHT),
-}
-SLOW = {
     "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
     "field": five("single_integrator-2d", obstacles=FIELD, **TIGHT),
     "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),

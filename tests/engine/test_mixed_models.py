@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from conftest import assert_same_state
+from parameters import marked, slow
 
 import rendezvous_env as rv
 from rendezvous_env import baselines, rendezvous_v0
@@ -51,6 +52,8 @@ rv.register_robot_model(
 RAILS = ["rail", "single_integrator", "unicycle", "rail"]
 CASES = {"plane": (PLANE, 2), "space": (SPACE, 3), "still": (STILL, 3), "rails": (RAILS, 2)}
 EVERY = pytest.mark.parametrize("case", CASES)
+IN_PLANE = pytest.mark.parametrize("case", marked(CASES, slow=CASES.keys() - {"plane"}))
+"""In fast tests the plane alone."""
 
 
 def team(case: str, **fields) -> rv.Scenario:
@@ -73,7 +76,7 @@ def played(scenario: rv.Scenario, batch: int, steps: int = 30) -> list[dict]:
 
 
 @pytest.mark.kernels
-@EVERY
+@IN_PLANE
 def test_mixed_models_each_robot_moves_as_in_a_team_of_its_model(case):
     scenario = team(case, local_frames="global", merge_radius=0.05, **LONG_STEP)
     mixed, places = played(scenario, 1), scenario.start_positions
@@ -92,7 +95,7 @@ def test_mixed_models_each_robot_moves_as_in_a_team_of_its_model(case):
     assert np.ptp([one["positions"] for one in mixed], axis=0).max(axis=-1).min() > 0.0
 
 
-@EVERY
+@IN_PLANE
 def test_mixed_models_batch_equals_singles(case):
     for one, other in zip(played(team(case), 1), played(team(case), 40), strict=True):
         for name in one:
@@ -223,7 +226,7 @@ def test_mixed_models_in_stable_baselines3(case):
     np.testing.assert_array_equal(seen, sim.observe().reshape(seen.shape))
 
 
-@pytest.mark.parametrize("case", ["plane", "space", "still"])
+@pytest.mark.parametrize("case", ["plane", slow("space"), slow("still")])
 def test_mixed_models_meet_under_the_law_of_each_robot(case):
     scenario = team(
         case, obstacles=(), start_positions=None, spawn_size=3.0, time_limit=60.0,
@@ -247,6 +250,7 @@ def test_mixed_models_state_and_files_are_complete(case, tmp_path):
     assert_same_state(one, other)
 
 
+@pytest.mark.slow
 def test_mixed_models_clocks_of_an_adversary_follow_each_model():
     scenario = team("plane", activation=rv.Activation(kind="bounded", max_wait=3))
     for one, other in zip(played(scenario, 1), played(scenario, 5), strict=True):
@@ -275,11 +279,12 @@ def test_mixed_models_are_refused_by_field_value_and_remedy(names, dim, message)
 
 
 @EVERY
-def test_mixed_models_have_no_certificate_and_no_filter(case):
+def test_mixed_models_with_inertia_or_rails_have_no_certificate_and_no_filter(case):
     scenario = team(case, obstacles=())
     found = rv.certificate(scenario)
-    assert not found.guaranteed and "mixed robots" in found.theorem
-    with pytest.raises(ValueError, match=r"scenario has mixed robots"):
+    name = "rail" if case == "rails" else "double_integrator"
+    assert not found.guaranteed and f"no theorem covers {name} robots" in found.theorem
+    with pytest.raises(ValueError, match=rf"scenario has {name} robots \(robot "):
         rv.vector.HeadingVectorWrapper(rv.make_vec(scenario, num_envs=2))
     with pytest.raises(ValueError, match=r"events.disturbance is 0.1; .* robot_model=\('"):
         scenario.replace(events=rv.Events(disturbance=0.1))

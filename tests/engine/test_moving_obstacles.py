@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 import shapely
+from parameters import marked, slow
 from scipy.optimize import brentq
 
 import rendezvous_env as rv
@@ -108,7 +109,7 @@ class Reference:
         return here + pushed * (tau - contact)
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", marked(SHAPES, slow=["triangle", "bar"]))
 @pytest.mark.parametrize("seed", range(4))
 def test_contact_equals_an_independent_integrator(name, seed):
     random = np.random.default_rng(seed)
@@ -181,6 +182,7 @@ def test_obstacles_from_two_sides_stop_at_a_robot_in_between():
     assert right - left < 2e-6
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_pushing_in_3d_slides_along_floor_and_wall():
     floor = rv.Sphere((3.0, 0.0, -100.0), 100.0)
@@ -262,7 +264,8 @@ def played(scene: rv.Scenario, batch: int, steps: int = 60):
 @pytest.mark.kernels
 @pytest.mark.parametrize("push", ["push", "stop"])
 @pytest.mark.parametrize(
-    ("model", "dim"), [("single_integrator", 2), ("unicycle", 2), ("nonholonomic_3d", 3)]
+    ("model", "dim"),
+    [("single_integrator", 2), slow("unicycle", 2), slow("nonholonomic_3d", 3)],
 )
 def test_batch_equals_singles_with_moving_obstacles(model, dim, push):
     scene = crossing(model, dim, obstacle_push=push)

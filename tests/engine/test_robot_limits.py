@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from parameters import slow
 
 import rendezvous_env as rv
 from rendezvous_env import baselines
@@ -17,10 +18,10 @@ LIMITS = {
 }
 MODELS = [
     ("single_integrator", 2),
-    ("single_integrator", 3),
-    ("double_integrator", 2),
     ("unicycle", 2),
-    ("nonholonomic_3d", 3),
+    slow("single_integrator", 3),
+    slow("double_integrator", 2),
+    slow("nonholonomic_3d", 3),
 ]
 CLUTTER = {2: (rv.Disc((0.5, 0.3), 0.4),), 3: (rv.Sphere((0.5, 0.3, 0.0), 0.4),)}
 START = np.array([[-2.0, 0.0, 0.0], [0.5, -1.0, 0.5], [2.0, 1.0, 0.0], [-1.0, 2.0, 1.0]])
@@ -238,6 +239,7 @@ def test_unicycles_of_a_mixed_team_move_as_in_a_team_of_unicycles():
                 np.testing.assert_array_equal(one[name][:, 1:3], other[name][:, 1:3])
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_unicycles_of_a_mixed_team_slide_as_in_a_team_of_unicycles():
     starts = [[-2.0, 2.0], [0.5, -0.3], [1.2, 0.3], [-2.0, -2.0]]
@@ -285,15 +287,6 @@ def test_mixed_team_in_interfaces_and_files(tmp_path):
         vector = teams.step(np.stack([one, one]))[0]
     for name, row in rows.items():
         np.testing.assert_array_equal(row, vector[0, env.index(name)])
-
-
-@pytest.mark.parametrize("by", ["law", "heading", "tank", "gains", "links"])
-def test_certificate_and_filters_refuse_mixed_teams(by):
-    margin = {"min_alignment": 0.2} if by in ("heading", "tank") else {}
-    found = rv.certificate("mixed-8", by=by, **margin)
-    assert not found.guaranteed and "no theorem covers mixed robots" in found.theorem
-    with pytest.raises(ValueError, match="scenario has mixed robots"):
-        rv.vector.HeadingVectorWrapper(rv.make_vec("mixed-8", num_envs=2))
 
 
 @pytest.mark.parametrize(

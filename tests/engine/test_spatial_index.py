@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from geometry import world
+from parameters import slow
 
 import rendezvous_env as rv
 from rendezvous_env import Capsule, Disc, Polygon, Scenario
@@ -49,16 +50,16 @@ def trajectory(scenario, num_envs, steps=40):
     return found, simulator
 
 
-@pytest.mark.parametrize("model", ["single_integrator", "unicycle"])
+@pytest.mark.parametrize("model", ["single_integrator", slow("unicycle")])
 @pytest.mark.parametrize(
     ("kinds", "more"),
     [
-        ("dpc", {}),
+        slow("dpc", {}),
         ("d", {}),
         ("dpc", NEAREST),
         ("d", NEAREST),
-        ("dpc", NOISY),
-        ("dpc", {"obstacle_contact": "stop"}),
+        slow("dpc", NOISY),
+        slow("dpc", {"obstacle_contact": "stop"}),
     ],
     ids=["any", "discs", "nearest", "nearest-discs", "noisy", "stop"],
 )

@@ -48,7 +48,7 @@ def test_stages_that_a_scenario_lacks_are_not_called():
     simulator = Simulator(rv.Scenario(n_robots=2, spawn_size=50.0))
     simulator.reset(seed=0)
     simulator.step(np.zeros((1, 2, 2), np.float32))
-    expected = {"propose_motion", "advance_free", "sense_pairs", "conclude_step"}
+    expected = {"propose_motion", "sense_pairs", "conclude_step"}
     assert called(simulator) == expected
     simulator.compile()
     assert called(simulator) == {*expected, "merge_robots"}
@@ -67,6 +67,25 @@ def test_merges_are_called_for_when_robots_are_near():
         if not output.active.all():
             break
     assert not output.active.all() and "merge_robots" in called(simulator)
+
+
+def test_merges_are_called_for_after_a_change_of_state():
+    """The last step before a merge, from a state of another simulator."""
+    start = {"start_positions": ((0.0, 0.0), (1.0, 0.0)), "merge_radius": 0.1}
+    simulator, other = (Simulator(rv.Scenario(n_robots=2, **start)) for _ in range(2))
+    observations, output = simulator.reset(seed=0), None
+    while output is None or output.active.all():
+        before, actions = simulator.get_state(), observations[:, :, 0]
+        output = simulator.step(actions)
+        observations = output.observations
+    other.reset(seed=0)
+    other.step(np.zeros_like(actions))
+    assert "merge_robots" not in called(other)
+    other.set_state(before)
+    after = other.step(actions)
+    np.testing.assert_array_equal(after.active, output.active)
+    np.testing.assert_array_equal(after.scores, output.scores)
+    assert not after.active.all()
 
 
 def test_initial_lyapunov_of_an_awaiting_environment_follows_its_step():

@@ -15,6 +15,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from conftest import five
+from parameters import slow
 
 import rendezvous_env as rv
 from rendezvous_env import Simulator
@@ -172,7 +173,7 @@ def interrupts(handler):
 
 
 @KINDS
-@pytest.mark.parametrize("most", [2, 4])
+@pytest.mark.parametrize("most", [2, slow(4)])
 @pytest.mark.parametrize("again", [0.0, 3e-5], ids=["one signal", "several in a row"])
 def test_share_when_interrupted_is_complete_or_never_begun(again, most, kind):
     """An interrupt anywhere in ``threads``: all blocks are complete, or none has begun.
@@ -204,7 +205,7 @@ def test_share_when_interrupted_is_complete_or_never_begun(again, most, kind):
     np.testing.assert_array_equal(marked(9, most), 1.0)  # and the threads still work
 
 
-@pytest.mark.parametrize("around", [None, HeadingVectorWrapper, EnergyTankWrapper])
+@pytest.mark.parametrize("around", [None, slow(HeadingVectorWrapper), slow(EnergyTankWrapper)])
 def test_step_when_interrupted_advances_all_environments_or_none(around, monkeypatch):
     """Interrupts at any time of a step of four threads.
 

@@ -4,7 +4,7 @@ import importlib
 
 import numpy as np
 import pytest
-from parameters import marked
+from parameters import marked, slow
 from rendezvous_env.baselines.learned import shipped
 from rendezvous_env.baselines.learned.learned_policy import load
 from rendezvous_env.baselines.learned.numpy_actor import NumpyActor
@@ -29,7 +29,7 @@ CASES = {
     "learned, free": ("learned", "duo", {}),
     "learned tank": ("learned-tank", "corridor", {}),
 }
-SLOW = {"tuned, dense", "tank", "tank, walls", "learned", "learned, free", "learned tank"}
+SLOW = {"tuned", "tuned, dense", "tank", "tank, walls", "learned", "learned, free", "learned tank"}
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_policy_equals_its_numpy_form(case, jax_policies):
         assert old.shape == new.shape and old.dtype == new.dtype
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-tank", "recurrent"])
+@pytest.mark.parametrize("name", ["learned", slow("learned-tank"), slow("recurrent")])
 def test_network_equals_numpy_actor(name, jax_policies):
     rng, learned = np.random.default_rng(0), jax_policies.learned
     if name == "recurrent":
@@ -146,7 +146,7 @@ def test_make_names_what_has_no_jax_form(jax_policies):
 
 @pytest.mark.parametrize(
     "name",
-    marked(["bearing-only", "tangent-joined-tuned", "tank-joined"], slow=["tank-joined"]),
+    ["bearing-only", slow("tangent-joined-tuned"), slow("tank-joined")],
 )
 def test_gradients_of_rules_are_finite_where_nothing_is_observed(name, jax_policies):
     import jax

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from parameters import slow
 
 import rendezvous_env as rv
 
@@ -22,6 +23,7 @@ def run(jax, env, state, observations, steps, gain=1.0):
     return state, largest.max()
 
 
+@pytest.mark.slow
 def test_gradients_equal_central_differences_through_merges(rj):
     import jax
     import jax.numpy as jnp
@@ -52,6 +54,7 @@ def test_gradients_equal_central_differences_through_merges(rj):
     assert slope_of_gain == pytest.approx(float(difference), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_for_coincident_robots_and_zero_actions(rj):
     import jax
 
@@ -112,8 +115,8 @@ def test_float32_starts_agree_to_its_precision(rj):
     np.testing.assert_allclose(places, engine.simulator.positions, rtol=1e-6, atol=1e-5)
 
 
-@pytest.mark.parametrize("guarantee", [None, "heading"])
-@pytest.mark.parametrize("size", [1e25, 1e-25])
+@pytest.mark.parametrize("guarantee", [None, slow("heading")])
+@pytest.mark.parametrize("size", [1e25, slow(1e-25)])
 def test_float32_steps_agree_for_actions_whose_square_is_out_of_range(guarantee, size, rj):
     import jax
 
@@ -142,6 +145,7 @@ def test_spaces_hold_observations_and_are_those_of_make_vec(rj):
     assert env.single_action_space.shape == rj.make("uav-6").action_space.shape
 
 
+@pytest.mark.slow
 def test_a_team_that_has_ended_stands_still_without_autoreset(rj):
     env = rj.make("duo", time_limit=0.2)
     _, state = env.reset(0)
@@ -157,6 +161,7 @@ def test_a_team_that_has_ended_stands_still_without_autoreset(rj):
     assert told[-1][3] == told[ends.index(True)][3]
 
 
+@pytest.mark.slow
 def test_what_is_not_a_number_stays_in_its_team(rj):
     env = rj.make("cloud-8", num_envs=2, **SMALL)
     observations, state = env.reset(0)
@@ -174,14 +179,14 @@ def test_what_is_not_a_number_stays_in_its_team(rj):
     assert (state.merged_into[:, 1] != np.arange(3)).any()
 
 
-@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize("wide", [False, slow(True)])
 @pytest.mark.parametrize(
     ("name", "guarantee", "changes"),
     [
         ("cloud-8", None, {}),
         ("clutter-4", "tank", {"sensing": rv.Sensing(noise=0.1, dropout=0.1, delay=2)}),
-        ("uav-6", "heading", {"sensing": rv.Sensing(range=5.0, bias=0.1)}),
-        ("corridor", None, {"robot_model": "unicycle", "merge_through_obstacles": False}),
+        slow("uav-6", "heading", {"sensing": rv.Sensing(range=5.0, bias=0.1)}),
+        slow("corridor", None, {"robot_model": "unicycle", "merge_through_obstacles": False}),
     ],
 )
 def test_a_step_keeps_the_types_of_the_state(name, guarantee, changes, wide, rj):

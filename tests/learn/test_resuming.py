@@ -13,6 +13,7 @@ import time
 import pytest
 import tyro
 from conftest import contents
+from parameters import slow
 from training_runs import (
     UPDATE,
     assert_goes_on,
@@ -52,10 +53,10 @@ class TestResume:
         "more",
         [
             {"memory": "features", "eval_every": 1500},
-            {"memory": "recurrent", "critic": "global", "eval_every": 1500},
-            {"memory": "features", "set": ("robot_model=unicycle", "max_turn_rate=2.0")},
-            {"memory": "features", "scenario": "clutter-3d"},
-            {"memory": "features", "scenario": "uav-clutter-16"},
+            slow({"memory": "recurrent", "critic": "global", "eval_every": 1500}),
+            slow({"memory": "features", "set": ("robot_model=unicycle", "max_turn_rate=2.0")}),
+            slow({"memory": "features", "scenario": "clutter-3d"}),
+            slow({"memory": "features", "scenario": "uav-clutter-16"}),
         ],
         ids=["features", "recurrent and global", "unicycle", "space", "nonholonomic"],
     )
@@ -151,7 +152,8 @@ class TestResume:
         resumed(folder)
         assert_same_run(whole, folder)
 
-    @pytest.mark.parametrize("kills", [2, pytest.param(6, marks=pytest.mark.slow)])
+    @pytest.mark.slow
+    @pytest.mark.parametrize("kills", [6])
     def test_kill_at_random_times_resumes(self, kills, whole, tmp_path):
         folder, moments = tmp_path / "run", random.Random(kills)
         words = flags(folder)
@@ -227,6 +229,7 @@ class TestRefusals:
         with without_rights(tmp_path):
             assert "Permission denied" in one_line("train", *flags(tmp_path / "new"))
 
+    @pytest.mark.slow
     def test_full_disk_is_reported(self, tmp_path, one_line, monkeypatch):
         folder, real = tmp_path / "run", checkpoint.write
 

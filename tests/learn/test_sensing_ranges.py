@@ -122,6 +122,7 @@ class TestGroups:
         assert not any(group.guided.choices.any() for group in teams.groups)
 
 
+@pytest.mark.slow
 def test_interrupted_training_resumes_bitwise(tmp_path):
     """With memory, a global critic and a curriculum: groups and their sensors are state."""
     more = {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank", "curriculum": (1, 3)}

@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from parameters import marked
+from parameters import marked, slow
 
 import baselines
 import rendezvous_env as rv
@@ -165,7 +165,8 @@ def test_policies_are_rotation_equivariant(name):
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"dim": 3}, *({"graph": kind} for kind in ("path", "star", "random_tree"))]
+    "changes",
+    [{}, {"dim": 3}, *(slow({"graph": kind}) for kind in ("path", "star", "random_tree"))],
 )
 def test_all_fitting_policies_meet_without_obstacles(changes):
     team = rv.Scenario(

@@ -93,6 +93,46 @@ def test_robot_policy_equals_batch(name, scenario):
         assert passed > 100 or not scenario.obstacles or (name == "learned-tank" and passed > 3)
 
 
+SPACE = {"robot_model": ["single_integrator", "nonholonomic_3d"] * 2, "max_speed": [0.4, 1, 1, 1]}
+
+
+@pytest.mark.parametrize(
+    "scenario", ["mixed-8", rv.Scenario(n_robots=4, dim=3, **SPACE)], ids=["plane", "space"]
+)
+def test_robots_of_a_mixed_team_act_as_in_the_team(scenario):
+    """Each by its index, under the law of its model, with its own limits."""
+    scenario = rv.scenarios.resolve(scenario)
+    robots = [RobotPolicy(scenario, "by-model", robot=i) for i in range(scenario.n_robots)]
+    simulator, layout, moved = rv.Simulator(scenario), scenario.observation_layout, 0
+    team = baselines.make("by-model", scenario)
+    for step in run(simulator, team, simulator.reset(3)):
+        seen = layout.split(step.observations[0].astype(float))
+        for i, robot in enumerate(robots):
+            rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
+            told = {"weights": np.linalg.norm(rows, axis=-1)}
+            if robot.scenario.observation_layout.senses_gravity:
+                if not seen.gravity[i].any():  # it has merged
+                    continue
+                told["gravity"] = seen.gravity[i]
+            action = robot.act(rows / told["weights"][:, None], dt=scenario.tau, **told)
+            np.testing.assert_allclose(action, step.actions[0, i], atol=3e-6)
+            assert (np.abs(action) <= scenario.robot_bounds[i]).all()
+            moved += abs(action[0]) > 0.1
+    assert moved > 100 and simulator.status[0] == RENDEZVOUS
+
+
+def test_robot_policy_needs_the_index_of_a_robot_with_limits_of_its_own():
+    with pytest.raises(ValueError, match="pass robot=i"):
+        RobotPolicy("mixed-8", "by-model")
+    with pytest.raises(ValueError, match="robot is 8; it must be an integer, 0 or more, at most 7"):
+        RobotPolicy("mixed-8", "by-model", robot=8)
+    with pytest.raises(ValueError, match="double_integrator robots"):
+        heavy = rv.Scenario(n_robots=2, robot_model=["unicycle", "double_integrator"])
+        RobotPolicy(heavy, "by-model", robot=1)
+    learned = RobotPolicy("mixed-8", "learned", robot=7)
+    assert learned.scenario.robot_model == "unicycle" and learned.scenario.speed_limit == 0.5
+
+
 @pytest.mark.parametrize(
     ("policy", "scenario"),
     [

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from robot_actions import single_and_batch
 
 import baselines
 import rendezvous_env as rv
@@ -127,16 +128,8 @@ def test_single_robot_acts_as_one_of_a_batch(name):
     scenario = rv.scenarios.get(name)
     policy = baselines.make("search-and-pursue", scenario)
     robot = baselines.RobotPolicy(scenario, "search-and-pursue")
-    simulator, layout = rv.Simulator(scenario), scenario.observation_layout
-    observations = simulator.reset(3)
-    for _ in range(250):
-        actions = policy(observations, simulator.time)
-        seen = layout.split(observations[0, 1])
-        rows = seen.neighbours[seen.neighbours.any(axis=-1)]
-        edges = seen.obstacles[seen.obstacles.any(axis=(-1, -2))]
-        np.testing.assert_allclose(robot.act(rows, edges), actions[0, 1], atol=1e-5)
-        observations = simulator.step(actions).observations
-    assert (simulator.positions[0, 1] != 0).any()
+    for alone, together in single_and_batch(policy, robot):
+        np.testing.assert_allclose(alone, together, atol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "least"), [("utias-5", 20), ("camera-8", 20)])

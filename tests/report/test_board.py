@@ -54,7 +54,7 @@ def test_page_has_every_row_and_record(board):
         kept = json.loads((board / row["card"]).read_text(encoding="utf-8"))
         assert kept == card
         starts = card["results"]["clean"]
-        assert float(row["clean"]) == pytest.approx(sum(starts) / len(starts))
+        assert float(row["collision_free"]) == pytest.approx(sum(starts) / len(starts))
     own = " 'unsafe-inline'; "
     assert f"default-src 'none'; script-src{own}style-src{own}img-src data:" in text
     assert not re.findall(r"(?:src|href)=\"(?:https?:)?//", text)
@@ -73,7 +73,10 @@ def test_page_carries_replays_with_recorded_results(board):
         policy = card["algorithm"] + (f", seed {card['seed']}" if card["decisions"] else "")
         for start, kept in read_replay(path, card["results"]).items():
             one, blob = shown[card["field"], policy, start]
-            told = {"success": "success", "clean": "clean", "time": "time", "contacts": "touches"}
+            told = {
+                **{"success": "success", "collision_free": "clean"},
+                **{"time": "time", "contacts": "touches"},
+            }
             assert {name: float(one["outcome"][name]) for name in told} == {
                 name: card["results"][own][start] for name, own in told.items()
             }
@@ -140,6 +143,7 @@ def cell(page, algorithm, column):
     return row.locator("td").nth(column)
 
 
+@pytest.mark.slow
 @needs_browser
 def test_click_on_cell_opens_replay(page, board):
     found = {(c["algorithm"], c["field"], c["seed"]): c["results"] for c in cards.read_cards(board)}
@@ -173,6 +177,7 @@ def test_click_on_cell_opens_replay(page, board):
     assert "tank-joined" in chosen(page) and clock(page) == 0.0
 
 
+@pytest.mark.slow
 def test_commands_quote_folder_names(board, tmp_path):
     shutil.copytree(board, folder := tmp_path / "it's mine; <b>")
     assert report.run(report.Config(folder)) == 0
@@ -180,6 +185,7 @@ def test_commands_quote_folder_names(board, tmp_path):
     assert shlex.split(f"report {data['folder']}") == ["report", str(folder)]
 
 
+@pytest.mark.slow
 @needs_browser
 def test_narrow_screen_shows_selection(page):
     page.set_viewport_size({"width": 390, "height": 800})
@@ -190,6 +196,7 @@ def test_narrow_screen_shows_selection(page):
     assert page.evaluate("document.documentElement.scrollWidth") == 390
 
 
+@pytest.mark.slow
 @needs_browser
 def test_cell_without_replay_names_command(page, board):
     note = page.locator("#missing")
@@ -206,6 +213,7 @@ def test_cell_without_replay_names_command(page, board):
     assert "seed 1" in (said := note.text_content()) and "seed-1.json --record" in said
 
 
+@pytest.mark.slow
 @needs_browser
 def test_page_without_replays_works(browser, board, tmp_path):
     folder = tmp_path / "none"

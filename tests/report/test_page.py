@@ -57,11 +57,13 @@ class TestTables:
         assert shown() == sorted(values, reverse=True)
         assert head.get_attribute("aria-sort") == "descending"
 
+    @pytest.mark.slow
     def test_empty_cells_sort_last(self, opened):
         for _ in range(2):
             opened.click("#results-table th:has-text('clearance') button")
             assert column(opened, "min_clearance")[-2:] == ["", ""]
 
+    @pytest.mark.slow
     def test_first_click_sorts_best_first(self, opened):
         for title, name, best in (
             ("collision-free", "collision_free_success", max),
@@ -88,11 +90,13 @@ class TestTables:
         if opened.locator("#results-table thead").bounding_box()["y"] < 0:
             assert alignment.bounding_box()["y"] == pytest.approx(head["height"], abs=1)
 
+    @pytest.mark.slow
     def test_best_of_each_scenario_is_marked(self, opened):
         shown = browsing.cells_of(opened, "#best-table tbody tr")
         best = [["fig4", "tangent-joined"], ["uav-6", "nonholonomic-3d"]]
         assert [cells[:2] for cells in shown] == best
 
+    @pytest.mark.slow
     def test_table_is_saved_as_shown(self, opened, compared):
         opened.select_option("#table-scenario", "uav-6")
         for _ in range(2):
@@ -105,6 +109,7 @@ class TestTables:
         assert results.read_csv(saved.value.path()) == expected
 
 
+@pytest.mark.slow
 def test_dark_mode_follows_preference(opened):
     light = opened.evaluate("getComputedStyle(document.body).backgroundColor"), picture(opened)
     opened.emulate_media(color_scheme="dark")
@@ -113,6 +118,7 @@ def test_dark_mode_follows_preference(opened):
     assert light[0] == "rgb(255, 255, 255)" and dark == "rgb(20, 23, 27)"
 
 
+@pytest.mark.slow
 def test_figures_can_be_saved(opened, compared):
     opened.keyboard.press("ArrowRight")
     with opened.expect_download() as saved:
@@ -134,6 +140,7 @@ class TestNarrow:
         wait_until(opened, opened.locator("#switch").is_visible)
         return opened
 
+    @pytest.mark.slow
     def test_narrow_page_shows_one_policy(self, phone):
         panes = phone.locator(".pane")
         assert [panes.nth(k).is_visible() for k in (0, 1)] == [False, True]
@@ -146,6 +153,7 @@ class TestNarrow:
         assert phone.locator(".state").first.text_content().startswith("met at")
         assert pixels(phone).std() > 13
 
+    @pytest.mark.slow
     def test_narrow_page_shows_key_numbers(self, phone):
         for name in ("policy", "collision_free_success", "median_time"):
             for cell in phone.locator(f"#results-table td[data-column={name}]").all():
@@ -158,6 +166,7 @@ class TestNarrow:
         assert phone.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 1400])
 @pytest.mark.parametrize("scenario", ["fig4", "uav-6"])
 def test_numbers_are_not_truncated(width, scenario, opened):
@@ -207,6 +216,7 @@ class TestErringSensor:
         with np.load(erring / "trajectories.npz") as arrays:
             yield lambda name, scenario: arrays[f"{scenario}/bearing-only/0/{name}"]
 
+    @pytest.mark.slow
     def test_true_and_measured_bearings_are_shown(self, seen_page, kept):
         wait_for(seen_page, "blurred", [])
         positions, frames = kept("positions", "blurred"), kept("frames", "blurred")
@@ -228,6 +238,7 @@ class TestErringSensor:
                 angle = np.degrees(np.arccos(min(1.0, one @ way / np.linalg.norm(one))))
                 assert float(off.removesuffix("°")) == pytest.approx(angle, abs=0.7)
 
+    @pytest.mark.slow
     def test_true_bearings_are_grey_rays(self, seen_page, kept):
         """A ray without an arrow, towards an undetected robot."""
         wait_for(seen_page, "blurred", [])
@@ -246,6 +257,7 @@ class TestErringSensor:
         )
         assert np.mean([one < 80 for one in off]) > 0.8
 
+    @pytest.mark.slow
     def test_ring_marks_visible_neighbours(self, seen_page):
         wait_for(seen_page, "ring-12", [])
         assert not seen_page.locator(".rows tr.true").count()
@@ -253,12 +265,14 @@ class TestErringSensor:
         seen_page.click("#robots button:nth-child(5)")
         assert list(browsing.shown_rows(seen_page)) == ["robot 3", "robot 5"]
 
+    @pytest.mark.slow
     def test_single_policy_is_shown_alone(self, seen_page):
         panes = seen_page.locator(".pane")
         assert [panes.nth(k).is_visible() for k in (0, 1)] == [True, False]
         assert seen_page.text_content("#said").count("bearing-only") == 1
 
 
+@pytest.mark.slow
 def test_rises_of_v_use_world_units(browser, tmp_path):
     """V is about 10⁻⁸ m²/s here, and an increase of 10⁻¹⁰ was rounded to zero."""
     fields = {"merge_radius": 1e-5, "spawn_size": 1e-3, "time_limit": 30.0}
@@ -277,6 +291,7 @@ def test_rises_of_v_use_world_units(browser, tmp_path):
         assert none == "none" and browsing.number(some) == pytest.approx(float(rises[1]), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_clearance_of_a_contact_is_0(opened):
     """Values below a thousandth of the merge radius are rounding, for either sign."""
     source = (ROOT / "train/report/page/tables.js").read_text(encoding="utf-8")

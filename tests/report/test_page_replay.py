@@ -58,6 +58,7 @@ class TestReplay:
         for state, own in zip(states, times, strict=True):
             assert state.startswith(f"met at {own[-1]:.2f} s · 1 of 3 robots left")
 
+    @pytest.mark.slow
     def test_pause_stops(self, opened):
         opened.select_option("#speed", "0.25")  # far from the end, however slow the browser is
         opened.locator("#speed").blur()
@@ -68,6 +69,7 @@ class TestReplay:
         opened.wait_for_timeout(150)
         assert (clock(opened), picture(opened)) == halted
 
+    @pytest.mark.slow
     def test_scrubbing_sets_time(self, opened, recorded):
         box = opened.locator("#time").bounding_box()
         opened.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
@@ -90,6 +92,7 @@ class TestReplay:
         contacts = int(recorded("contacts")[frame].sum())
         assert f"{contacts} robot-steps in contact" in opened.locator(".state").first.text_content()
 
+    @pytest.mark.slow
     def test_robots_interpolate_and_observations_hold(self, opened, recorded):
         times = recorded("times")
         scrub(opened, times[4])
@@ -99,6 +102,7 @@ class TestReplay:
         scrub(opened, times[5])
         assert shown_rows(opened) != rows
 
+    @pytest.mark.slow
     def test_keyboard_shortcuts_work(self, opened, recorded):
         times = recorded("times")
         opened.keyboard.press("ArrowRight")
@@ -114,6 +118,7 @@ class TestReplay:
             opened.keyboard.press("[")
         assert opened.input_value("#speed") == "0.1"
 
+    @pytest.mark.slow
     def test_focus_is_visible_and_keys_act_on_it(self, opened):
         opened.focus("#to-end")
         opened.keyboard.press("Tab")
@@ -127,6 +132,7 @@ class TestReplay:
         opened.keyboard.press("Home")
         assert clock(opened) > 1
 
+    @pytest.mark.slow
     def test_controls_have_accessible_names(self, opened):
         bare = opened.evaluate(
             "[...document.querySelectorAll('button, select, input, canvas[role]')].filter("
@@ -135,6 +141,7 @@ class TestReplay:
         )
         assert bare == []
 
+    @pytest.mark.slow
     def test_episode_and_policy_are_selectable(self, opened):
         opened.keyboard.press("End")
         first = picture(opened, 1)
@@ -145,11 +152,13 @@ class TestReplay:
         assert picture(opened, 1) != first
         assert opened.locator(".state").nth(1).text_content().startswith("time out at 30.00 s")
 
+    @pytest.mark.slow
     def test_sides_never_show_same_policy(self, opened):
         with reloaded(opened):
             opened.locator("select.policy").nth(0).select_option("tangent-joined")
         assert chosen(opened) == ["tangent-joined", "bearing-only"]
 
+    @pytest.mark.slow
     def test_autoplay_respects_reduced_motion(self, browser, address):
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         page.goto(address)
@@ -166,6 +175,7 @@ class TestReplay:
 
 
 class TestAddress:
+    @pytest.mark.slow
     def test_address_describes_view(self, opened):
         opened.keyboard.press("ArrowRight")
         opened.click("#robots button:nth-child(3)")
@@ -182,6 +192,7 @@ class TestAddress:
         assert chosen(opened) == ["zero", "nonholonomic-3d"] and clock(opened) == 0.5
         assert "Observation of robot 4" in opened.locator(".sight h3").first.text_content()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("fragment", ["#scenario=nowhere", "#start=7", "#replay", "#t=x"])
     def test_invalid_address_is_ignored(self, fragment, opened):
         opened.goto(opened.url.split("#")[0] + fragment)
@@ -189,6 +200,7 @@ class TestAddress:
         opened.wait_for_selector("#player[data-ready]")
         assert opened.input_value("#scenario") == "fig4" and clock(opened) == 0
 
+    @pytest.mark.slow
     def test_row_links_to_replay(self, opened):
         row = opened.locator("#results-table tr", has_text="uav-6").filter(has_text="zero")
         with reloaded(opened):
@@ -204,6 +216,7 @@ class TestAddress:
 
 
 class TestSight:
+    @pytest.mark.slow
     @pytest.mark.parametrize("robot", [1, 2])
     def test_click_shows_observation_rows(self, robot, opened, recorded):
         times, observations = recorded("times"), recorded("observations")
@@ -224,6 +237,7 @@ class TestSight:
         others = [other for other in range(3) if other != robot]
         assert list(rows)[:2] == [f"robot {other}" for other in others]
 
+    @pytest.mark.slow
     def test_replay_3d_has_two_projections_and_gravity(self, opened, recorded):
         wait_for(opened, "uav-6", ["nonholonomic-3d", "zero"])
         assert opened.locator(".pane").first.locator(".world canvas").count() == 2
@@ -236,6 +250,7 @@ class TestSight:
         np.testing.assert_allclose(rows["gravity"], at[-1], atol=6e-4)
         assert len(rows) == 5 + 1
 
+    @pytest.mark.slow
     def test_merged_robot_has_no_observation(self, opened, recorded):
         gone = int(np.flatnonzero(~recorded("active")[-1])[0])
         opened.click(f"#robots button:nth-child({gone + 1})")
@@ -244,6 +259,7 @@ class TestSight:
         assert shown_rows(opened) == {}
 
 
+@pytest.mark.slow
 def test_packed_team_counts_as_met(browser, tmp_path):
     """All its robots remain, so it was reported as a time-out."""
     how = {"episodes": 1, "keep": 1, "figures": False}
@@ -255,6 +271,7 @@ def test_packed_team_counts_as_met(browser, tmp_path):
         assert state.startswith("met at ") and "4 of 4 robots left" in state
 
 
+@pytest.mark.slow
 def test_replay_shows_conditions_of_robots(browser, tmp_path):
     scenario = rv.Scenario(
         n_robots=5,
@@ -308,6 +325,7 @@ def corners_in_ink(image, place):
     )
 
 
+@pytest.mark.slow
 def test_millimetre_world_fills_picture(browser):
     """The margin was 8 cm, and displayed numbers were zeros."""
     page = browser.new_page()

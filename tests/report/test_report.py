@@ -18,6 +18,7 @@ from rendezvous_env.obstacles.obstacle_set import pack
 from train import cli, results
 from train import encoding as report_encoding
 from train.report import build as report
+from train.report.build import rankings
 from train.report.input import read
 
 
@@ -92,7 +93,7 @@ class TestPage:
         for entry in data["recordings"]:
             [row] = [row for row in rows if (row["scenario"], row["policy"], row["start"]) == (
                 entry["scenario"], entry["policy"], str(entry["start"]))]  # fmt: skip
-            assert entry["outcome"].items() <= row.items() and "clean" in entry["outcome"]
+            assert entry["outcome"].items() <= row.items() and "collision_free" in entry["outcome"]
             corners = [len(one["vertices"]) for one in data["obstacles"][entry["obstacles"]]]
             assert sorted(corners) == ([0, 0, 4] if entry["scenario"] == "fig4" else [])
 
@@ -107,7 +108,10 @@ class TestPage:
         assert kept["centre"] == pytest.approx([1.234e-4, 0.0], rel=1e-3)
 
     def test_page_states_episodes_and_rounding(self, compared, text):
-        assert "4 starts each (seeds 3–6); one of fig4, whose start is given" in text
+        assert (
+            "4 initial conditions each (seeds 3–6); one of fig4, whose initial condition is given"
+            in text
+        )
         with np.load(compared / "trajectories.npz") as arrays:
             reach = max(abs(arrays[n]).max() for n in arrays.files if n.endswith("/positions"))
         assert f"rounded to within {500 * reach / 32767:.2g} mm" in text
@@ -217,15 +221,20 @@ def test_modified_description_is_rejected(content, message, folder, refused):
     assert message in refused(folder)
 
 
-def test_folder_of_the_former_format_is_read(folder, compared, reseal):
-    for name in ("results.csv", "paired.csv"):
-        text = (folder / name).read_text()
-        assert "collision_free_" in text
-        (folder / name).write_text(text.replace("collision_free_", "clean_"))
-    reseal(folder, format_version=5)
+@pytest.mark.parametrize(
+    ("version", "renamed"), [(5, ("results", "paired", "episodes")), (6, ("episodes",))]
+)
+def test_folder_of_a_former_format_is_read(version, renamed, folder, compared, reseal):
+    for name in renamed:
+        path = folder / f"{name}.csv"
+        text = path.read_text()
+        assert "collision_free" in text
+        path.write_text(text.replace("collision_free", "clean"))
+    reseal(folder, format_version=version)
     former, current = read(folder), read(compared)
     assert former.rows == current.rows and "collision_free_success" in former.rows[0]
-    assert former.paired == current.paired
+    assert former.paired == current.paired and former.episodes == current.episodes
+    assert rankings(former) == rankings(current)
 
 
 class TestForged:
@@ -313,12 +322,13 @@ class TestFiles:
 @pytest.mark.parametrize(
     ("starts", "scenarios", "policies", "said"),
     [
-        ({"duo": 1}, ["duo"], ["zero"], "1 scenario, 1 policy, 1 start each (seed 3)"),
+        ({"duo": 1}, ["duo"], ["zero"], "1 scenario, 1 policy, 1 initial condition each (seed 3)"),
         (
             {"duo": 2, "fig4": 1},
             ["duo", "fig4"],
             ["zero", "random"],
-            "2 scenarios, 2 policies, 2 starts each (seeds 3–4); one of fig4, whose start is given",
+            "2 scenarios, 2 policies, 2 initial conditions each (seeds 3–4); one of fig4, whose "
+            "initial condition is given",
         ),
     ],
 )

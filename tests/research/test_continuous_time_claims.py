@@ -11,6 +11,7 @@ from adversarial_graphs import Attention, draw_teams, draw_weights
 from claims import CLAIMS, check, main
 from continuous_time import Teams
 from continuous_time_laws import away, followed, into_cone, turned
+from parameters import marked
 from scipy.optimize import nnls
 
 from train.verify.claims import BATCH
@@ -39,7 +40,7 @@ def findings(name, batches=(0, 1, 2, 3), broken=None):
     return found.violations, found.ratio.get(name)
 
 
-@pytest.mark.parametrize("name", BY_NAME)
+@pytest.mark.parametrize("name", marked(BY_NAME, slow=BY_NAME.keys() - {"gains", "stale"}))
 def test_claims_hold(name):
     violations, ratio = findings(name)
     assert violations == 0
@@ -134,6 +135,7 @@ def by_law_1(trial, random):
     trial.law = law
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "batches", "broken", "least"),
     [

@@ -152,9 +152,13 @@ def test_wrapper_must_know_bearing_error(told, lengthened):
     exact = scenario.replace(sensing=Sensing())
     for by in CHOICES:
         words = str(certificate(exact, MARGINS[by], by=by))
-        assert ("rad if the wrapper is told so" in words) == (by in ("heading", "tank", "links"))
+        assert ("rounding, with that bearing_error in the wrapper" in words) == (
+            by in ("heading", "tank", "links")
+        )
         words = str(certificate(scenario, MARGINS[by], by=by))
-        assert ("told bearing_error=0.7" in words) == (by in ("heading", "tank", "links"))
+        assert ("with bearing_error=0.7 in the wrapper" in words) == (
+            by in ("heading", "tank", "links")
+        )
     turning = Scenario(robot_model="unicycle", sensing=Sensing(error=0.3))  # V, and no more
     for by in ("heading", "tank"):
-        assert "all of this if the wrapper is told" in str(certificate(turning, 0.3, by=by))
+        assert "all of this with bearing_error" in str(certificate(turning, 0.3, by=by))

@@ -23,13 +23,18 @@ from rendezvous_env.safety.turning import (
 )
 
 MODELS = ("nonholonomic_3d", "unicycle")
+MIXED = ("mixed in 3-D", "mixed in 2-D")
 KINDS = ("zero", "random", "greedy")
 MARGIN = 0.3
 
 
 def team(model, graph, radius, turn_rate):
+    """Four robots; in mixed teams the first and the third are single integrators."""
+    dim = 3 if "3" in model else 2
+    if model in MIXED:
+        model = ["single_integrator", MODELS[3 - dim]] * 2
     return Scenario(
-        n_robots=4, dim=3 if model == "nonholonomic_3d" else 2, robot_model=model, graph=graph,
+        n_robots=4, dim=dim, robot_model=model, graph=graph,
         neighbour_slots=3,  # rows as most tests have them: no other kernels
         merge_radius=radius, spawn_size=8.0 * radius + 6.0, max_turn_rate=turn_rate, time_limit=1e6,
     )  # fmt: skip
@@ -62,6 +67,7 @@ def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
     if scenario.dim == 3:
         shares = np.array(list(itertools.product(np.linspace(-1, 1, side), repeat=2)))
     desired = np.zeros((teams, scenario.n_robots, shares.shape[1]))
+    turning = scenario.nonholonomic_robots
     yield venv.simulator
     for _ in range(steps):
         if kind == "random":
@@ -69,7 +75,13 @@ def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
         elif kind == "greedy":
             f = scenario.observation_layout.net_bearing(observations)
             greedy(f, observations, shares, gate, desired)
-        observations, *_ = env.step(desired)
+        choices = desired
+        if not turning.all():  # single integrators choose vectors: turned to one side, or random
+            f = scenario.observation_layout.net_bearing(observations)
+            aside = random.normal(size=f.shape) if kind == "random" else np.roll(f, 1, axis=-1)
+            padded = np.concatenate([desired, desired], axis=-1)[..., : scenario.dim]
+            choices = np.where(turning[:, None], padded, aside - f)
+        observations, *_ = env.step(choices)
         yield venv.simulator
         if not (venv.simulator.status == 0).any():
             break
@@ -132,7 +144,7 @@ def test_one_of_k_steps_is_productive(dim, turned):
 
 @pytest.mark.parametrize("turn_rate", [0.2, 10.0])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", MODELS + MIXED)
 def test_v_decreases_in_every_window(model, kind, turn_rate):
     """K and q of theorem T, in the environment, for any desired turn rates."""
     scenario = team(model, graphs.path(), 4.0, turn_rate)

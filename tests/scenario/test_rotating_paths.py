@@ -61,6 +61,7 @@ def sizes():
     return np.linalg.norm(sides, axis=-1).sum(axis=-1)
 
 
+@pytest.mark.slow
 def test_small_margin_grows_at_triangle_rate(sizes):
     """L grows 9.7-fold in 400 s, and in every cycle of three dwell times."""
     margin = MARGINS[0]

@@ -82,7 +82,7 @@ def fuzzed(
         values: strategies of the arguments of the check.
         kernels: whether the few cases carry the marker ``kernels``.
     """
-    few = pytest.param(2, id="few", marks=[pytest.mark.kernels] * kernels)
+    few = pytest.param(1, id="few", marks=[pytest.mark.kernels] * kernels)
 
     def decorate(check: Callable[..., None]) -> Any:
         @pytest.mark.parametrize("effort", [few, MANY])

@@ -278,9 +278,9 @@ def one_kind(monkeypatch):
 
 
 def test_no_violation_is_found(tmp_path, one_kind):
-    status, rows, printed = command(tmp_path, trials=120)
+    status, rows, printed = command(tmp_path, trials=60)
     assert status == 0 and printed.count("0 violations") == 1
-    assert sum(int(row["granted"]) for row in rows) > 1000
+    assert sum(int(row["granted"]) for row in rows) > 500
     for row in rows:
         assert row["violations"] == "0"
         assert math.isnan(ratio := float(row["worst_time_over_bound"] or "nan")) or ratio <= 1.0
@@ -298,11 +298,11 @@ def test_violations_are_written_with_status_1(tmp_path, monkeypatch, one_kind):
 
 @pytest.mark.slow
 def test_thousands_of_random_scenarios_hold(tmp_path):
-    """As many as one core simulates in two minutes, once their kernels are compiled."""
-    status, rows, printed = command(tmp_path, trials=10_000, kinds=8, jobs=None)
+    """More of them, of all kinds: ``rendezvous verify --random-scenarios``."""
+    status, rows, printed = command(tmp_path, trials=2_500, kinds=8, jobs=None)
     assert status == 0, printed
     granted = {row["theorem"]: int(row["granted"]) for row in rows}
-    assert sum(granted.values()) > 8000 and len(granted) > 30
+    assert sum(granted.values()) > 1800 and len(granted) > 30
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.compilation import kernel
+from rendezvous_env.deprecation import renamed_attribute
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.engine.preparation import has_fixed_start
 from rendezvous_env.engine.state_checks import check_mask, check_numbers, check_observations
@@ -34,7 +35,7 @@ class Episodes:
 
     success: NDArray[np.bool_]
     """True if all robots met within the time limit."""
-    clean: NDArray[np.float64]
+    collision_free: NDArray[np.float64]
     """1 for collision-free success, else 0; NaN where robots pass through obstacles."""
     time: NDArray[np.float64]
     """Rendezvous time, s; the time limit without success."""
@@ -67,15 +68,18 @@ class Episodes:
         columns = [field.name for field in fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
 
+    clean = renamed_attribute("clean", "collision_free")
+
     @property
     def good(self) -> NDArray[np.bool_]:
         """(N,), whether an episode succeeded, collision-free where contacts count."""
-        return np.where(np.isnan(self.clean), self.success, self.clean == 1)
+        return np.where(np.isnan(self.collision_free), self.success, self.collision_free == 1)
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Rows of episodes.csv, one per initial condition."""
         columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
-        columns["clean"] = [None if value != value else int(value) for value in self.clean]
+        free = [None if value != value else int(value) for value in self.collision_free]
+        columns["collision_free"] = free
         for start in range(len(self.success)):
             yield {"start": start} | {name: values[start] for name, values in columns.items()}
 
@@ -180,7 +184,7 @@ class _Meter:
         bounds = np.where(np.isfinite(bounds), bounds, promised)
         return Episodes(
             success=success,
-            clean=np.where(counts_contacts(scenario), success & (contacts == 0), np.nan),
+            collision_free=np.where(counts_contacts(scenario), success & (contacts == 0), np.nan),
             time=simulator.time,
             path_length=simulator.path_length,
             contacts=contacts,

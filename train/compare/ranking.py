@@ -15,7 +15,7 @@ from .statistics import best_policy, collision_free_difference
 
 _MOST_NAMED = 4
 """Maximum number of tied policies named in the summary."""
-ONE_START, NONE_MET = "one start decides nothing", "no policy met without a collision"
+ONE_START, NONE_MET = "one episode decides nothing", "no policy met without a collision"
 """Reasons why a scenario has no best policy."""
 
 
@@ -56,10 +56,10 @@ def _rank_one(
     scenario: Scenario, episodes: dict[str, Episodes], kinds: Mapping[str, str]
 ) -> Ranking:
     """Ranking of the policies on one scenario; ``kinds`` by name."""
-    share = {name: float(own.clean.mean()) for name, own in episodes.items()}
+    share = {name: float(own.collision_free.mean()) for name, own in episodes.items()}
     references = tuple(name for name in episodes if kinds[name] == "privileged")
     competing = {name: own for name, own in episodes.items() if name not in references}
-    starts = len(next(iter(episodes.values())).clean)
+    starts = len(next(iter(episodes.values())).collision_free)
     best, undecided = None, ""
     if competing and not np.isnan(list(share.values())).any():
         best = best_policy(competing)
@@ -106,9 +106,9 @@ def answer(rankings: Sequence[Ranking]) -> str:
 def _why_undecided(rankings: Sequence[Ranking]) -> str:
     reasons = {ranking.undecided for ranking in rankings}
     if reasons == {ONE_START}:
-        return "one start of a drawn scenario decides nothing; play more of them with --episodes"
+        return "one episode of a random scenario decides nothing; play more with --episodes"
     if reasons == {NONE_MET}:
-        return "no policy met without a collision on any start"
+        return "no policy met without a collision in any episode"
     return "no scenario has two policies that can meet without a collision"
 
 

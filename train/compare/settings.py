@@ -8,9 +8,9 @@ from typing import Annotated
 from tyro.conf import arg
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import closest_match
 from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.suggestions import closest_match
 
 from .. import policies, results
 from ..checks import Bounds, UserError
@@ -132,7 +132,7 @@ def plan(config: Config) -> list[Job]:
     """Jobs of a configuration; a UserError if it is invalid."""
     episodes = config.episodes or _STARTS
     if config.seed + episodes > 2**63:
-        raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
+        raise UserError(f"--seed is {config.seed}; with {episodes} episodes it is too large")
     labels = policies.labels_of(config.policies)
     policies.check_names(list(labels))
     scenarios = _resolve(config)

@@ -112,8 +112,8 @@ def summarise(scenario: Scenario, policy: str, episodes: Episodes) -> dict[str, 
         "episodes": len(episodes.success),
         "success": episodes.success.mean(),
         **_ends("success", fraction_interval(episodes.success)),
-        "collision_free_success": episodes.clean.mean(),
-        **_ends("collision_free", fraction_interval(episodes.clean)),
+        "collision_free_success": episodes.collision_free.mean(),
+        **_ends("collision_free", fraction_interval(episodes.collision_free)),
         "median_time": median,
         **_ends("time", times),
         "time_over_bound": np.fmax.reduce(episodes.time / episodes.time_bound),
@@ -137,7 +137,7 @@ def best_policy(played: Mapping[str, Episodes]) -> str:
 
 def collision_free_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
     """Paired difference of collision-free success and its 95 % interval; NaN without contacts."""
-    difference = own.clean.astype(float) - other.clean
+    difference = own.collision_free.astype(float) - other.collision_free
     return float(difference.mean()), paired_interval(difference, -1.0, 1.0)
 
 

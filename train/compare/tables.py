@@ -36,14 +36,14 @@ def _empty(*columns: str, **options: Any) -> Table:
 def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Table:
     """Table of the rows of results.csv; scenarios by name provide the time limits."""
     columns = ("policy", "met %", "collision-free % [95 %]", "median s [95 %]", "T/bound", "path m")
-    table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
+    table = _empty(*columns, "V rise", "clear m", "align", title="Policies")
     for column in table.columns:
         column.no_wrap = True
     for name, own in grouped(rows, "scenario").items():
         first, scenario = own[0], scenarios[name]
         limit, rounding = scenario.max_steps * scenario.tau, rounding_of_v(scenario)
-        starts = counted(first["episodes"], "start")
-        table.add_row(f"{name}, {starts}", style="bold")
+        episodes = counted(first["episodes"], "episode")
+        table.add_row(f"{name}, {episodes}", style="bold")
         for row in own:
             times = (_time(row[name], limit) for name in ("median_time", "time_low", "time_high"))
             median, low, high = times
@@ -59,9 +59,11 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
                 number(row["min_alignment"], ".2f"),
             )
     table.caption = (
+        "initial conditions are the same for all policies\n"
         "median: time-outs count as later than the limit; T/bound, V rise, clear, align: the worst "
-        "of all starts\nV rise: the largest in a step up to its first merge, m²/s; none: V fell in "
-        "every step, or stayed; contacts can raise it"
+        "of all episodes\n"
+        "V rise: the largest in a step up to its first merge, m²/s; none: V fell in every step, or "
+        "stayed; contacts can raise it"
     )
     return table
 
@@ -94,7 +96,7 @@ def paired_table(rows: Sequence[Row]) -> Table:
     """Table of the rows of paired.csv."""
     table = _empty(
         *("policy", "points", "better %"),
-        title=f"Against {rows[0]['against']} on the same starts",
+        title=f"Against {rows[0]['against']}, same initial conditions",
         caption="points: of collision-free success; better: without a collision and sooner, "
         "a tie counts half; [95 % intervals]",
     )
@@ -115,9 +117,11 @@ def ceiling_table(rows: Sequence[Row]) -> Table:
     title = "What can be reached: by a planner, and by law (4), the best of its randomised runs"
     table = _empty("scenario", "runs", *columns, title=title)
     for row in rows:
-        names = ("clean_planner", "clean_best", "success_best", "clean_mean")
+        names = (
+            "collision_free_planner", "collision_free_best", "success_best", "collision_free_mean",
+        )  # fmt: skip
         shares = (number(100 * row[name], ".1f") for name in names)
-        never = f"{row['never_clean']} of {row['episodes']}"
+        never = f"{row['never_collision_free']} of {row['episodes']}"
         table.add_row(row["scenario"], str(row["runs"]), *shares, never)
     return table
 
@@ -148,7 +152,7 @@ def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
         name = textwrap.fill(ranking.scenario, heading)
         table.add_column(Text(name), justify="right", vertical="bottom", min_width=5)
     shown = dict.fromkeys(name for ranking in rankings for name in ranking.share)
-    table.add_row("starts", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")
+    table.add_row("episodes", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")
     references = {name for ranking in rankings for name in ranking.references}
     for name in sorted(shown, key=lambda name: name in references):
         table.add_row(name, *(_cell(ranking, name) for ranking in rankings))
@@ -175,7 +179,7 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
     if any(ranking.is_contest for ranking in rankings):
         yield (
             f"{BEST} best of a scenario (among equals the soonest); {TIED} tied with it: the "
-            "95 % interval of the difference on the same starts holds 0"
+            "95 % interval of the paired difference contains 0"
         )
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):
         yield (
@@ -194,7 +198,7 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
     """Print a table per sweep: collision-free success and median time of each policy."""
     for sweep in sweeps:
         own, limit = rows_of(sweep, rows), sweep.base.max_steps * sweep.base.tau
-        title = f"{sweep.base.name}: {sweep.field}, {counted(own[0]['episodes'], 'start')}"
+        title = f"{sweep.base.name}: {sweep.field}, {counted(own[0]['episodes'], 'episode')}"
         console.print(f"{title}; collision-free %, median s", style="bold")
         table = _empty("policy", *sweep.labels)
         for policy, found in grouped(own, "policy").items():

@@ -75,17 +75,17 @@ def row_of(scenario: Scenario, runs: Sequence[Episodes]) -> dict[str, Any]:
     Fractions of initial conditions, and those without a collision-free run, or without success.
     """
     *own, planned = runs
-    clean = np.array([run.clean == 1 for run in own])
+    free = np.array([run.collision_free == 1 for run in own])
     success = np.array([run.success for run in own])
     return {
         "scenario": scenario.name,
-        "episodes": clean.shape[1],
+        "episodes": free.shape[1],
         "runs": len(own),
-        "clean_planner": float((planned.clean == 1).mean()),
-        "clean_best": float(clean.any(axis=0).mean()),
+        "collision_free_planner": float((planned.collision_free == 1).mean()),
+        "collision_free_best": float(free.any(axis=0).mean()),
         "success_best": float(success.any(axis=0).mean()),
-        "clean_mean": float(clean.mean()),
-        "never_clean": int((~clean.any(axis=0)).sum()),
+        "collision_free_mean": float(free.mean()),
+        "never_collision_free": int((~free.any(axis=0)).sum()),
         "never_met": int((~success.any(axis=0)).sum()),
     }
 

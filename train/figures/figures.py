@@ -174,7 +174,7 @@ def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
         for place, row in enumerate(panel):
             row["place"] = place
         draw(axes, panel)
-        axes.set_title(f"{name}, one start" if panel[0].get("episodes") == 1 else name)
+        axes.set_title(f"{name}, one episode" if panel[0].get("episodes") == 1 else name)
         axes.set_yticks(range(len(panel)), [shown_name(row["policy"]) for row in panel])
         axes.set_ylim(tallest[number // columns] - 0.5, -0.5)
         axes.tick_params(length=2)

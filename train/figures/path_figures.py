@@ -166,7 +166,11 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
         paths.locator_params(nbins=5)  # before the scales are made equal, which it undoes
     draw_paths(paths, recording, scenario)
     arrows = ", arrows: headings" if scenario.model.n_angles else ""
-    paths.set(xlabel="x (m)", ylabel="y (m)", title=f"(a) dots: starts, crosses: merges{arrows}")
+    paths.set(
+        xlabel="x (m)",
+        ylabel="y (m)",
+        title=f"(a) dots: t = 0, crosses: merges{arrows}",
+    )
     if space:
         paths.set(zlabel="z (m)")
         paths.tick_params(pad=0)

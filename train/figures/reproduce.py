@@ -152,8 +152,9 @@ def _pixels(config: Config) -> int:
         with console.status(f"{name} looks; {_COMPILING}"):
             rows.append(row := pixels.compare(name, config.episodes, config.seed))
         console.print(
-            f"{name}: {row['clean']:.1%} [{row['low']:.1%}, {row['high']:.1%}] without a contact "
-            f"from pixels, {row['predicted']:.1%} by Sensing.camera(), {row['exact']:.1%} exact; "
+            f"{name}: {row['collision_free']:.1%} [{row['low']:.1%}, {row['high']:.1%}] "
+            f"without a contact from pixels, {row['predicted']:.1%} by Sensing.camera(), "
+            f"{row['exact']:.1%} exact; "
             f"{row['steps_per_core_second']:.0f} steps in a second of a core",
             soft_wrap=True,
         )

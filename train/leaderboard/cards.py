@@ -129,13 +129,13 @@ def read_card(path: Path) -> Card:
         plain_data.check_types(card, _TYPES)
         field = results.versioned(scenarios.get(place_of(card).field))
         if field["digest"] != card["digest"]:
-            raise ValueError("digest of other starts")
+            raise ValueError("digest of other initial conditions")
         if field["field"] != card["field"]:
             raise ValueError(f"field is {card['field']!r}; it must be {field['field']!r}")
         for key, least, most in _BOUNDS:
             check_int(key, card[key], least, most)
         if any(len(card["results"][name]) != card["starts"] for name in _RESULTS):
-            raise ValueError("other number of starts")
+            raise ValueError("other number of initial conditions")
         numbers = np.array([card["results"][name] for name in _RESULTS], np.float64)
         sound = np.isfinite(numbers) & (numbers >= 0.0)
         if not sound.all() or not (numbers[:2] <= 1.0).all() or not numbers[-1].any():

@@ -16,8 +16,9 @@ from ..figures import style
 from ..results import grouped
 
 COLUMNS = (
-    "algorithm", "safety", "guarantee", "given", "runs", "clean", "clean_low", "clean_high", "time",
-    "time_low", "time_high", "robot_steps", "touches", "risen", "rise",
+    "algorithm", "safety", "guarantee", "given", "runs", "collision_free", "collision_free_low",
+    "collision_free_high", "time", "time_low", "time_high", "robot_steps", "touches", "risen",
+    "rise",
 )  # fmt: skip
 """Columns of leaderboard.csv. Runs are seeds times scenarios.
 
@@ -34,12 +35,13 @@ Card = Mapping[str, Any]
 
 
 def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
-    """Mean of "clean" or "time" over initial conditions for one algorithm, (S, F).
+    """Mean of "collision_free" or "time" over initial conditions for one algorithm, (S, F).
 
     Rows are the first S runs of each of F scenarios, with S the number available in all of them.
     """
     fields = grouped(cards, "field").values()
-    means = ([float(np.mean(card["results"][name])) for card in own] for own in fields)
+    recorded = {"collision_free": "clean"}.get(name, name)
+    means = ([float(np.mean(card["results"][recorded])) for card in own] for own in fields)
     return np.array(list(zip(*means, strict=False)))
 
 
@@ -49,7 +51,7 @@ def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
     for name, own in grouped(cards, "algorithm").items():
         about = {key: own[0][key] for key in ("safety", "guarantee", "given")}
         row = {"algorithm": name, **about}
-        for key in ("clean", "time"):
+        for key in ("collision_free", "time"):
             scores = scores_of(own, key)
             row["runs"] = scores.size
             low, high = statistics.stratified_interval((scores,), statistics.interquartile_mean)
@@ -60,7 +62,7 @@ def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
             row[key] = 1000.0 * sum(sum(card["results"][key]) for card in own) / steps
         row["rise"] = 100.0 * float(np.mean([np.mean(card["results"]["rise"]) for card in own]))
         rows.append(row)
-    return sorted(rows, key=lambda row: (-row["clean"], row["time"]))
+    return sorted(rows, key=lambda row: (-row["collision_free"], row["time"]))
 
 
 def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
@@ -70,7 +72,7 @@ def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
         both = set.intersection(*({card["field"] for card in own[name]} for name in pair))
         if both:
             first, second = (
-                scores_of([card for card in own[name] if card["field"] in both], "clean")
+                scores_of([card for card in own[name] if card["field"] in both], "collision_free")
                 for name in pair
             )
             ends = statistics.stratified_interval((first, second), chance)
@@ -87,7 +89,7 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
 
     return [
         *(row[key] for key in ("algorithm", "safety", "guarantee", "given")),
-        with_interval("clean", ".1f", 100.0),
+        with_interval("collision_free", ".1f", 100.0),
         with_interval("time", ".1f"),
         f"{row['touches']:.3g}",
         "0" if row["risen"] == 0 else f"{row['risen']:.3g}",
@@ -127,8 +129,8 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
         "in which V rose between merges with nobody of the team in contact, which theorem C rules "
         "out.\n\n"
         "`cells/` has a card for each run: settings, versions, digest of the field and the numbers "
-        "of every start. `rendezvous leaderboard --repeat CARD` does it again. `replays/` has two "
-        "starts of a run of each cell, which the page of `rendezvous report` shows.\n"
+        "of every episode. `rendezvous leaderboard --repeat CARD` does it again. `replays/` has "
+        "two episodes of a run of each cell, which the page of `rendezvous report` shows.\n"
     )
 
 
@@ -145,7 +147,7 @@ def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) ->
     colours = [colormaps["tab20"](2 * (k % 10) + (k // 10) % 2) for k in range(len(rows))]
     price, profiles = style.new_figure(style.PAGE, 3.2), style.new_figure(style.PAGE, 3.2)
     marks = {"none": "o", "heading": "s", "tank": "D"}
-    panels = (("clean", 100.0, "collision-free success, %"), ("time", 1.0, "time, s"))
+    panels = (("collision_free", 100.0, "collision-free success, %"), ("time", 1.0, "time, s"))
     for panel, (key, unit, label) in zip(price.subplots(1, 2), panels, strict=True):
         for row, colour in zip(rows, colours, strict=True):
             ends = [abs(unit * (row[f"{key}_{end}"] - row[key])) for end in ("low", "high")]
@@ -158,7 +160,7 @@ def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) ->
     price.legend(*panel.get_legend_handles_labels(), loc="outside right center")
     panel = profiles.subplots()
     for k, (name, own) in enumerate(grouped(cards, "algorithm").items()):
-        profile = statistics.performance_profile(scores_of(own, "clean"), _LEVELS)
+        profile = statistics.performance_profile(scores_of(own, "collision_free"), _LEVELS)
         look: dict[str, Any] = {"linestyle": ("-", "--", ":")[k % 3], "color": colours[k]}
         panel.step(100.0 * _LEVELS, profile, where="post", label=name, **look)
     panel.set(xlabel="collision-free success, %", ylabel="share of runs that reach it")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rendezvous_env.baselines.robot_sight import RobotSight
 
+from rendezvous_env.deprecation import renamed_attribute
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.scenario.scenario import Scenario
@@ -47,10 +48,12 @@ class Episode:
     """Result of one episode."""
 
     met: bool
-    clean: bool
+    collision_free: bool
     time: float  # simulated, s
     steps: int
     work: float  # time of a core to draw, look, decide and move, s
+
+    clean = renamed_attribute("clean", "collision_free")
 
 
 def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Episode]:
@@ -80,8 +83,8 @@ def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Ep
                 simulator.step(driver(rows, float(simulator.time[0])))
                 steps += 1
             met = bool(simulator.status[0] == RENDEZVOUS)
-            clean, work = met and not simulator.contacts[0], time.process_time() - began
-            yield Episode(met, bool(clean), float(simulator.time[0]), steps, work)
+            free, work = met and not simulator.contacts[0], time.process_time() - began
+            yield Episode(met, bool(free), float(simulator.time[0]), steps, work)
     finally:
         eyes.close()
 
@@ -94,15 +97,15 @@ def compare(policy: str, episodes: int, seed: int) -> dict[str, Any]:
         scenario = SCENARIO.replace(sensing=sensing)
         own = partial(make, policy, scenario)
         found, _ = evaluation.play(scenario, own, margin=None, episodes=episodes, seed=seed)
-        return float(found.clean.mean())
+        return float(found.collision_free.mean())
 
     found = list(play(policy, range(seed, seed + episodes)))
-    clean = np.array([one.clean for one in found])
-    low, high = fraction_interval(clean)
+    free = np.array([one.collision_free for one in found])
+    low, high = fraction_interval(free)
     return {
         "policy": policy,
         "episodes": episodes,
-        "clean": float(clean.mean()),
+        "collision_free": float(free.mean()),
         "low": low,
         "high": high,
         "met": float(np.mean([one.met for one in found])),

@@ -57,7 +57,7 @@ def page(folder: Path) -> str:
             {
                 "scenario": one["scenario"],
                 "policy": one["replay"],
-                "collision_free_success": one["clean"],
+                "collision_free_success": one["collision_free"],
             }
             for one in cells
         ],
@@ -78,7 +78,9 @@ def _policy(card: cards.Card) -> str:
 def _replays(folder: Path, card: cards.Card) -> list[Replay]:
     """Replays of a run, with the recorded result of each episode."""
     found, kept = card["results"], path_of(cards.path_in(folder, card))
-    names = {"success": "success", "clean": "clean", "time": "time", "contacts": "touches"}
+    names = {
+        "success": "success", "collision_free": "clean", "time": "time", "contacts": "touches",
+    }  # fmt: skip
     return [
         Replay(
             card["field"], _policy(card), start, vars(one),
@@ -91,7 +93,8 @@ def _replays(folder: Path, card: cards.Card) -> list[Replay]:
 def _cell(card: cards.Card, is_replayed: bool) -> dict[str, str]:
     """Row of the table of runs, with numbers as text."""
     name, found = cards.place_of(card).name, card["results"]
-    row: dict[str, Any] = {key: float(np.mean(found[key])) for key in ("clean", "time")}
+    row: dict[str, Any] = {"collision_free": float(np.mean(found["clean"]))}
+    row["time"] = float(np.mean(found["time"]))
     row |= {key: 1000.0 * sum(found[key]) / sum(found["steps"]) for key in ("touches", "risen")}
     row |= {"algorithm": card["algorithm"], "scenario": card["field"], "seed": card["seed"]}
     row |= {"replay": _policy(card) if is_replayed else "", "card": f"cells/{name}.json"}
@@ -109,11 +112,11 @@ def _about(found: list[cards.Card], replays: int) -> str:
         f"{counted(found[0]['starts'], 'held-out initial condition')} a run",
         "Seeds": ", ".join(map(str, sorted({card["seed"] for card in found}))),
         "Versions": ", ".join(versions),
-        "Replays": f"of {replays} of {counted(len(found), 'run')}: the first held-out start, the "
-        "same for all, and the first that ended otherwise, clean or not. Each was recorded while "
-        "the run was played a second time, with the same numbers on all starts; a replay that is "
-        "not of the results on its card is refused. Frames are thinned out to keep the folder "
-        "small, positions rounded to 16 bits",
+        "Replays": f"of {replays} of {counted(len(found), 'run')}: the first held-out initial "
+        "condition, the same for all, and the first that ended otherwise, collision-free or not. "
+        "Each was recorded while the run was played a second time, with the same numbers on all "
+        "initial conditions; a replay that is not of the results on its card is refused. Frames "
+        "are thinned out to keep the folder small, positions rounded to 16 bits",
         "Again": "rendezvous leaderboard --repeat CARD does a run again and compares it",
     }
     return terms(lines)

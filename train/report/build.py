@@ -26,10 +26,10 @@ from .input import Comparison, half_written, read
 from .skeleton import PLAYER, Replay, assemble, elements, figures, part, player_data, terms
 
 _OUTCOME = (
-    "success", "clean", "time", "path_length", "contacts", "clearance", "min_alignment",
+    "success", "collision_free", "time", "path_length", "contacts", "clearance", "min_alignment",
 )  # fmt: skip
 """Columns of episodes.csv shown with a replay."""
-_NOTHING_KEPT = "No start was kept (--keep-trajectories 0), so there is nothing to replay."
+_NOTHING_KEPT = "No episode was kept (--keep-trajectories 0), so there is nothing to replay."
 
 EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 
@@ -135,9 +135,9 @@ def _counts(found: Comparison) -> str:
     policies = {name for played in found.run["policies"].values() for name in played}
     first, count, starts = found.run["seed"], found.run["episodes"], found.run["starts"].items()
     seeds = f"seeds {first}–{first + count - 1}" if count > 1 else f"seed {first}"
-    said = f"{counted(count, 'start')} each ({seeds})"
+    said = f"{counted(count, 'initial condition')} each ({seeds})"
     if single := [name for name, own in starts if own == 1 < count]:
-        said += f"; one of {', '.join(single)}, whose start is given"
+        said += f"; one of {', '.join(single)}, whose initial condition is given"
     said += "".join(f"; {own} of {name}" for name, own in starts if 1 < own < count)
     return (
         f"{counted(len(found.scenarios), 'scenario')}, {counted(len(policies), 'policy')}, {said}"

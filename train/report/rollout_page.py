@@ -67,7 +67,7 @@ def _outcome(row: dict[str, Any]) -> dict[str, str]:
     met = row["outcome"] == "met"
     return {
         "success": str(int(met)),
-        "clean": str(int(met and row["collision_free"])),
+        "collision_free": str(int(met and row["collision_free"])),
         "time": str(row["time"]),
         "path_length": str(row["path_length"]),
         "contacts": str(row["contacts"]),
@@ -81,7 +81,9 @@ def recordings_of(trajectory: Trajectory, envs: int) -> list[Recording]:
     it takes another course.
     """
     if not trajectory.start:
-        raise ValueError(f"this trajectory has no start to play it again from; {_REMEDY}")
+        raise ValueError(
+            f"this trajectory has no initial condition to play it again from; {_REMEDY}"
+        )
     simulator = Simulator(trajectory.scenario, trajectory.num_envs)
     simulator.set_state(trajectory.start)
     seen = simulator.observe()

@@ -16,8 +16,8 @@ from ..figures.figures import ROBOT_COLOURS
 
 _PAGE = files(__package__) / "page"
 _CAPTIONS = {
-    "success": "How many of the starts each policy met on. Open marks: all robots met. Filled: and "
-    "none touched an obstacle. Lines: 95 % intervals.",
+    "success": "Share of the initial conditions from which each policy met. Open marks: all robots "
+    "met. Filled: and none touched an obstacle. Lines: 95 % intervals.",
     "times": "Median time until all robots met, with its 95 % interval; time-outs count as later "
     "than the limit.",
     "against-obstacles": "Collision-free success as obstacles become more. Bars: 95 % intervals.",
@@ -72,8 +72,8 @@ def _figure(path: Path) -> str:
     kind, _, scenario = path.stem.partition("-")
     if kind == "trajectories":
         said = (
-            f"{scenario}: the ways of the robots from the first start under each policy. "
-            "Dots: starts. Crosses: merges. Orange: obstacles."
+            f"{scenario}: the paths of the robots from the first initial condition under each "
+            "policy. Dots: initial positions. Crosses: merges. Orange: obstacles."
         )
     else:
         numbered, _, number = path.stem.rpartition("-")
@@ -104,7 +104,7 @@ class Replay(NamedTuple):
     policy: str
     start: int
     shown: Mapping[str, Any]  # fields of ``encoding.Encoded``
-    outcome: Mapping[str, str]  # of episodes.csv, with success, clean, time and contacts
+    outcome: Mapping[str, str]  # of episodes.csv, with success, collision_free, time
 
 
 def elements(replays: Sequence[Replay]) -> str:

@@ -29,8 +29,8 @@ _ENDINGS = (".pdf", ".png")
 class Config(Flags):
     """Fit a sensor model to a log of bearings with ground truth, or replay the log.
 
-    PATH is a folder of MRCLAM files, a folder with tables bearings and poses (.csv or .parquet), a
-    rosbag2 or MCAP recording, or WSR result files (.json).
+    PATH is a folder of MRCLAM files, or of tables bearings and poses (.csv or .parquet). It may
+    also be a rosbag2 or MCAP recording, or WSR result files (.json).
 
     fit estimates the fields of Sensing with 99 % intervals. replay passes the logged bearings to
     policies, and reports the share of time in which their motion would have decreased V.

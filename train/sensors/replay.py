@@ -1,7 +1,7 @@
 """Open-loop replay: logged bearings through a policy, and its motion against ground truth.
 
-V = Σᵢ Σⱼ ‖pᵢ − pⱼ‖ over ordered pairs of all robots of the log has V̇ = −2 Σᵢ fᵢᵀvᵢ, where fᵢ is
-the sum of the true unit vectors to the others and vᵢ the commanded velocity.
+V = Σᵢ Σⱼ ‖pᵢ − pⱼ‖ over ordered pairs of all robots of the log has V̇ = −2 Σᵢ fᵢᵀvᵢ. Here fᵢ is the
+sum of the true unit vectors to the others and vᵢ the commanded velocity.
 """
 
 from itertools import pairwise

@@ -60,7 +60,7 @@ def resolve(scenario, **overrides):
     """Scenario of this file."""
     return scenario
 ''',
-    Name("rendezvous_env.checks", "check_fields"): '''
+    Name("rendezvous_env.field_checks", "check_fields"): '''
 def check_fields(made):
     """Values were checked when this file was written."""
 ''',
@@ -81,6 +81,18 @@ def {word}(axes, teams, constants, arrays, work):
     raise NotImplementedError
 '''
     for module, word in (("heading", "_turn_bodies"), ("tank", "_spend_bodies"))
+}
+_OF_MIXED_TEAMS = {
+    Name(f"rendezvous_env.safety.{module}", word): f'''
+def {word}(axes, teams, constants, arrays, work):
+    """This file is for one robot."""
+    raise NotImplementedError
+'''
+    for module, word in (
+        ("heading", "_steer_or_turn"),
+        ("tank", "_spend_by_model"),
+        ("safety_filter", "_look_of_some"),
+    )
 }
 _OF_OTHER_GUIDES = {
     is_filtered: {
@@ -145,6 +157,8 @@ TEAM = SimpleNamespace(
     action_bounds=np.array({bounds}),
     robot_bounds=np.array([{bounds}]),
     per_robot=(),
+    nonholonomic_robots=np.array([{nonholonomic}]),
+    models=(SimpleNamespace(**{model}),),
     model=SimpleNamespace(**{model}),
     **{numbers},
 )
@@ -234,7 +248,8 @@ def text_of(
     code that cannot be in one file.
     """
     check_one_robot(scenario)
-    stand_ins, roots, extra = _STAND_INS | _OF_OTHER_DIMENSIONS[scenario.dim], list(_ROOTS), ""
+    stand_ins = _STAND_INS | _OF_MIXED_TEAMS | _OF_OTHER_DIMENSIONS[scenario.dim]
+    roots, extra = list(_ROOTS), ""
     if scenario.dim == 2:
         roots += _WHEELS
     if not scenario.model.nonholonomic:
@@ -266,6 +281,7 @@ def text_of(
     team = _TEAM.format(
         layout=", ".join(f"{key}={v}" for key, v in vars(scenario.observation_layout).items()),
         bounds=scenario.action_bounds.tolist(),
+        nonholonomic=scenario.model.nonholonomic,
         model=_written({name: getattr(scenario.model, name) for name in about}),
         numbers=_written({name: getattr(scenario, name) for name in NUMBERS}),
         make=make,

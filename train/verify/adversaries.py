@@ -51,7 +51,9 @@ class Adversary:
         self.blind = random.uniform(-1.0, 1.0, (*self.size, max(scenario.action_size, 3)))
         self.spin = random.uniform(-_FASTEST_SPIN, _FASTEST_SPIN, (*self.size, 1))
         self.spin[random.random(self.size) < 0.5] = 0.0
-        self.turn_rates = scenario.action_bounds[1:]
+        self.turning = turning = scenario.nonholonomic_robots
+        bounds = scenario.robot_bounds[turning] if turning.any() else scenario.robot_bounds
+        self.turn_rates = bounds.max(axis=0)[1:]
         if by == "heading":
             self.turn_rates = np.minimum(max_turn_rate, self.turn_rates)
 
@@ -66,7 +68,13 @@ class Adversary:
             return self._lean(rows.astype(np.float64), self.desired(teams), anyhow)
         if self.scenario.model.bounded:
             return self.desired(teams)
-        return self.controls(observations, teams)
+        controls = self.controls(observations, teams)
+        if self.turning.all() or not self.turning.any():
+            return controls
+        desired = self.desired(teams)
+        # numbers that a robot does not have are anything
+        padded = np.concatenate([controls, self.blind], axis=-1)[..., : desired.shape[-1]]
+        return np.where(self.turning[:, np.newaxis], padded, desired)
 
     def desired(self, teams: Moment) -> Array:
         """Desired velocity of each robot in its own frame, (B, n, d)."""

@@ -42,17 +42,22 @@ def draw_team(
     families: tuple[str, ...] = FAMILIES,
     step_factors: tuple[float, float] | None = None,
     turning: bool = False,
+    mixed: bool = False,
 ) -> Trial:
     """Random environments that differ in initial condition, weights and frames.
 
     Team sizes alternate; ``step_factors`` are values of τ over the certified step. Nonholonomic
-    robots use the models of the paper.
+    robots use the models of the paper. In ``mixed`` teams some of them are single integrators, and
+    each robot has a speed limit of its own.
     """
     n, dim = sizes[batch % len(sizes)], int(random.choice(dims))
     fields: dict[str, Any] = {}
     if turning:
         model = "unicycle" if dim == 2 else "nonholonomic_3d"
         fields = {"robot_model": model, "max_turn_rate": float(random.uniform(1.0, 6.0))}
+    if mixed:
+        points = random.permutation(n)[: random.integers(1, n)]
+        fields["robot_model"] = ["single_integrator" if i in points else model for i in range(n)]
     family = str(random.choice(families))
     scenario = Scenario(
         n_robots=n,
@@ -67,7 +72,10 @@ def draw_team(
     if step_factors is not None:
         step = random.uniform(*step_factors) * scenario.certified_step
         scenario = scenario.replace(time_step=step, allow_long_step=True)
-    if not turning and random.random() < 1 / 3:
+    if mixed:
+        speeds = random.uniform(0.5, 1.0, n) * scenario.max_degree
+        scenario = scenario.replace(max_speed=speeds.tolist())
+    elif not turning and random.random() < 1 / 3:
         scenario = scenario.replace(max_speed=random.uniform(0.5, 1.0) * scenario.max_degree)
     starts: tuple[Scenario, ...] = ()
     if random.random() < 0.25:  # all robots of a team on one line, in any order
@@ -165,6 +173,7 @@ _pieces = partial(draw_team, by="law", sizes=(3, 5, 8), families=("two trees",))
 _unicycles = partial(draw_team, by="law", dims=(2,), turning=True)
 _space = partial(draw_team, by="law", dims=(3,), turning=True)
 _turning = partial(draw_team, turning=True)
+_mixed = partial(draw_team, turning=True, mixed=True)
 _long_steps = partial(draw_team, step_factors=(4.0, 10.0))
 _trees = partial(draw_team, sizes=(8,), families=("random_tree",))  # whose merges make V rise
 
@@ -187,6 +196,9 @@ CLAIMS = (
     Claim("bound-C", "any policy under certified headings: T ≤ C", draw_team, bound_c, ("time",)),
     Claim("gate", "any turn rates through the gate: V never rises between merges, all meet",
           _turning, patience, ("time", "descent")),
+    Claim("mixed-teams",
+          "headings and turn rates of mixed teams: V never rises between merges, all meet",
+          _mixed, patience, ("time", "descent")),
     Claim("certified-step", "τ = r/(2D̄), law (4): V falls by τ Σ(hᵀf)² in every step",
           _law_1, bound_c, ("descent",), at_fixed_angle),
     Claim("local-scaling",

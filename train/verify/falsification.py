@@ -193,7 +193,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     random = np.random.default_rng([trial.seed, 1])
     turn_rate = arguments.get("max_turn_rate", MAX_TURN_RATE)
     adversary = Adversary(scenario, count, trial.by, random, turn_rate)
-    if trial.frame == "local" or trial.by == "gains" or not scenario.model.bounded:
+    if trial.frame == "local" or trial.by == "gains" or not wrapped.filter.along_net_bearing:
         return wrapped, start, adversary
 
     def as_seen(seen: Any, now: Moment) -> Array:

@@ -226,10 +226,19 @@ def _vary_gains(random: Random, scenario: rv.Scenario, given: Given) -> None:
 
 
 def _of_several_models(random: Random, scenario: rv.Scenario) -> rv.Scenario:
+    """Robots of several models; half of the teams where a theorem is known: without double
+    integrators, with exact bearings, and without obstacles.
+    """
     turning = "unicycle" if scenario.dim == 2 else "nonholonomic_3d"
     models = [turning, "single_integrator", "double_integrator"]
+    drawn = [models[int(k)] for k in random.integers(0, 3, scenario.n_robots)]
+    if random.random() < 0.5:
+        return scenario.replace(robot_model=drawn)
+    own = [turning, "single_integrator"]
+    own += [own[int(k)] for k in random.integers(0, 2, scenario.n_robots - 2)]
+    passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
     return scenario.replace(
-        robot_model=[models[int(k)] for k in random.integers(0, 3, scenario.n_robots)]
+        robot_model=random.permutation(own).tolist(), sensing=rv.Sensing(), obstacles=passed
     )
 
 

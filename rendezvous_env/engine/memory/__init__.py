@@ -159,6 +159,18 @@ def store_positions(values, robots, lane, lanes):
 
 
 @inner_kernel(inline="code")
+def is_near(environment, lane, lanes, reach):
+    """True if the environment runs and a contact is possible in its next step.
+
+    ``reach`` is the square distance of neighbours, m², and the clearance, m, below which it is.
+    Distances are those of the last observation.
+    """
+    near = environment[SQUARE_CLOSEST * lanes + lane] < reach[0]
+    near |= environment[CLEARANCE * lanes + lane] < reach[1]
+    return near & (environment[STATUS * lanes + lane] == RUNNING)
+
+
+@inner_kernel(inline="code")
 def sensed_step(environment, lane, lanes, moves):
     """Step number at which an environment is sensed.
 

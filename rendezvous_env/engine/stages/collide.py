@@ -24,6 +24,7 @@ from ..memory import (
     PACKED,
     PROXIMITY,
     STEP_CONTACTS,
+    STEP_LENGTH,
     load_fields,
     load_point,
     load_positions,
@@ -151,6 +152,16 @@ def execute_motion(met, executed, i, lane, lanes, d, move, environment, contact)
         environment[STEP_CONTACTS * lanes + lane] += 1.0
 
 
+@inner_kernel
+def _store_lengths(lengths, lane, lanes, d, move, environment):
+    """Store the path lengths of one environment, (n,), and their sum."""
+    total = 0.0
+    for i in range(len(lengths)):
+        move[i, d * lanes + lane] = lengths[i]
+        total += lengths[i]
+    environment[STEP_LENGTH * lanes + lane] = total
+
+
 @kernel
 def merge_robots(
     lanes,
@@ -205,8 +216,7 @@ def merge_robots(
                 (moments, here, resting, report),
                 merges_through,
             )
-            for i in range(n):
-                move[i, d * lanes + lane] = lengths[i]
+            _store_lengths(lengths, lane, lanes, d, move, environment)
             store_positions(positions, robots[block], lane, lanes)
             if merges > 0:
                 store_links(links, block, lane, n, listed[0], listed[1], weights, count)
@@ -252,8 +262,7 @@ def pack_robots(
             move_apart(positions, displacements, lengths, sizes[0], (vectors[2], numbers[1]))
             if is_packed(positions, sizes[1], (listed[0], resting)):
                 environment[PROXIMITY * lanes + lane] = PACKED
-            for i in range(n):
-                move[i, d * lanes + lane] = lengths[i]
+            _store_lengths(lengths, lane, lanes, d, move, environment)
             store_positions(positions, robots[block], lane, lanes)
 
 

@@ -28,6 +28,7 @@ from ..memory import (
     STEPS,
     TIME_OUT,
     WALKED,
+    is_near,
     lane_count,
 )
 
@@ -44,6 +45,7 @@ def conclude_step(
     max_steps,
     reward_weights,
     all_earn,
+    reach,
     environments,
     merged_into,
     took_part,
@@ -55,9 +57,10 @@ def conclude_step(
 ):
     """Update environments and write all output except observations, contacts and clearances.
 
-    ``active`` is initialised to True, which stays where nothing has merged.
+    ``active`` is initialised to True, which stays where nothing has merged. Returns the number of
+    environments with possible contact in the next step, see ``is_near``.
     """
-    lanes, n = lane_count(width), merged_into.shape[1]
+    lanes, n, near = lane_count(width), merged_into.shape[1], 0
     for block in range(first, last):
         environment, start = environments[block], block * lanes
         end = min(start + lanes, len(merged_into))
@@ -73,9 +76,11 @@ def conclude_step(
         merged = 0
         for lane in range(lanes):
             merged += environment[ACTIVE * lanes + lane] < n
+            near += is_near(environment, lane, lanes, reach)
         if merged > 0:
             given = merged_into, took_part, active, robot_rewards
             _leave_out_merged(width, start, end, all_earn, environment, *given)
+    return near
 
 
 @inner_kernel(inline="code")

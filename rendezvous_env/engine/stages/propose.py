@@ -1,4 +1,4 @@
-"""First stage of a step: the motion of every robot without obstacles and contacts.
+"""Stage that proposes the motion of every robot, and applies it where no contact is possible.
 
 Also the update of robot model memory and frames after the step.
 """
@@ -17,7 +17,6 @@ from ...robots.motion import (
 )
 from ..memory import (
     ACTIVE,
-    CLEARANCE,
     CLOSENESS,
     FREE,
     MERGE_EXCESS,
@@ -25,10 +24,10 @@ from ..memory import (
     MOVED,
     PROXIMITY,
     RUNNING,
-    SQUARE_CLOSEST,
     STATUS,
     STEP_CONTACTS,
     STEP_LENGTH,
+    is_near,
     lane_count,
     load_fields,
     store_fields,
@@ -41,14 +40,13 @@ def propose_motion(
 ):
     """Write displacement (d), path length, and action (a) of every robot of some blocks.
 
-    The output is ``moves``, (blocks, n, (d + 1 + a)·L). It also marks the environments with
-    possible contact and returns their number. Nothing else changes.
+    The output is ``moves``, (blocks, n, (d + 1 + a)·L). Environments with possible contact (see
+    ``is_near``) are marked, and wait for the exact stages. Robots of all others move.
 
-    ``reach`` is the square distance of neighbours and the clearance below which contact is
-    possible. Actions are (B, n, a), or (0, n, a) if ``moves`` has them already; those of ended
-    environments and of merged robots count as zero.
+    Actions are (B, n, a), or (0, n, a) if ``moves`` has them already; those of ended environments
+    and of merged robots count as zero.
     """
-    lanes, n, near = lane_count(width), robots.shape[1], 0.0
+    lanes, d, n = lane_count(width), len(robot.axes), robots.shape[1]
     for block in range(first, last):
         start, move, environment = block * lanes, moves[block - first], environments[block]
         count = min(lanes, len(merged_into) - start)
@@ -57,8 +55,9 @@ def propose_motion(
         for i in range(n):
             _propose_robot(width, robot, i, robots[block, i], move[i])
         _hold_still(width, move, count, start, environment, merged_into)
-        near += _begin_step(width, reach, environment)
-    return near
+        _begin_step(width, reach, environment)
+        for i in range(n):
+            _advance_robot(width, d, move[i], environment, robots[block, i])
 
 
 @inner_kernel(inline="code")
@@ -110,46 +109,29 @@ def _hold_still(width, move, count, start, environment, merged_into):
 
 @inner_kernel(inline="code")
 def _begin_step(width, reach, environment):
-    """Initialise the fields of the step.
-
-    Distances are those of the last observation, at the current positions.
-    """
-    lanes, count = lane_count(width), 0.0
+    """Initialise the fields of the step."""
+    lanes = lane_count(width)
     for lane in range(lanes):
-        near = (environment[SQUARE_CLOSEST * lanes + lane] < reach[0]) | (
-            environment[CLEARANCE * lanes + lane] < reach[1]
-        )
-        near &= environment[STATUS * lanes + lane] == RUNNING
+        near = is_near(environment, lane, lanes, reach)
         environment[PROXIMITY * lanes + lane] = MOVED if near else FREE
         environment[STEP_LENGTH * lanes + lane] = 0.0
         environment[STEP_CONTACTS * lanes + lane] = 0.0
         environment[CLOSENESS * lanes + lane] = 0.0
         environment[MERGE_RISE * lanes + lane] = 0.0
         environment[MERGE_EXCESS * lanes + lane] = 0.0
-        count += MOVED if near else FREE
-    return count
-
-
-@kernel
-def advance_free(width, axes, first, last, robots, environments, moves):
-    """Apply the displacements where no contact is possible, and sum up all path lengths."""
-    lanes, d = lane_count(width), len(axes)
-    for block in range(first, last):
-        environment = environments[block]
-        for i in range(robots.shape[1]):
-            _advance_robot(width, d, moves[block - first, i], environment, robots[block, i])
-            for lane in range(lanes):
-                environment[STEP_LENGTH * lanes + lane] += moves[block - first, i, d * lanes + lane]
 
 
 @inner_kernel(inline="code")
 def _advance_robot(width, d, move, environment, state):
+    """Apply a displacement where no contact is possible, and add up its path length."""
     lanes = lane_count(width)
     for k in range(d):
         for lane in range(lanes):
-            # others have moved already; selection instead of a branch keeps it SIMD
+            # selection instead of a branch keeps it SIMD
             free = environment[PROXIMITY * lanes + lane] == FREE
             state[k * lanes + lane] += move[k * lanes + lane] if free else 0.0
+    for lane in range(lanes):
+        environment[STEP_LENGTH * lanes + lane] += move[d * lanes + lane]
 
 
 @kernel

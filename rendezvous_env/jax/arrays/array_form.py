@@ -1,9 +1,9 @@
 """Equations of the numba kernels as functions of arrays: one source for both forms.
 
-A kernel is a function of numbers and tuples of numbers. Its Python source, read with ``jax.numpy``
-in place of ``math`` and selections in place of branches (``selection``), is the same function of
-arrays of one shape. A few kernels have a second form, registered with ``replaces``: where loops
-end early, or where it is faster. Tests compare the two.
+A kernel is a function of numbers and tuples of numbers. Its Python source is read with
+``jax.numpy`` in place of ``math`` and selections in place of branches (``selection``). The result
+is the same function of arrays of one shape. A few kernels have a second form, registered with
+``replaces``: where loops end early, or where it is faster. Tests compare the two.
 """
 
 import builtins

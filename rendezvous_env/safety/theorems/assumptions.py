@@ -8,7 +8,7 @@ from ...graphs.random_graphs import CustomFamily
 from ...limits import LARGEST
 from ...obstacles.moving import moves
 from ...robots.motion import frame_turns
-from ...robots.robot_models import constants_of, is_custom
+from ...robots.robot_models import RobotModel, constants_of, is_custom
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
@@ -80,24 +80,37 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
 
 
 def known_bodies(scenario: Scenario, asked: Asked) -> str:
-    """The robot model is a single integrator or covered by a theorem of the paper.
+    """Each robot is a single integrator or of a model that a theorem of the paper covers.
 
     The gate and the tanks rely on the turn per step of the built-in models.
     """
-    model = scenario.model
-    if model.bounded or (model.theorem is not None and (asked.by == "law" or not is_custom(model))):
+    for model in scenario.models:
+        covered = model.theorem is not None and (asked.by == "law" or not is_custom(model))
+        if not (model.bounded or covered):
+            return (
+                f"none: no theorem covers {model.name} robots, whose action ({model.action}) is "
+                "not their velocity; V may rise at any time" + _without(scenario, model)
+            )
+    return ""
+
+
+def _without(scenario: Scenario, model: RobotModel) -> str:
+    """Remedy for a mixed team, at the end of a message about one of its models."""
+    if not scenario.mixes_models:
         return ""
-    return (
-        f"none: no theorem covers {model.name} robots, whose action ({model.action}) is not "
-        "their velocity; V may rise at any time"
-    )
+    turning = "unicycle" if scenario.dim == 2 else "nonholonomic_3d"
+    at = scenario.robot_model.index(model.name)
+    return f"; robot_model[{at}] must be 'single_integrator' or {turning!r} for a theorem"
 
 
 def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
     """The action is the velocity."""
-    model = scenario.model
-    if model.bounded or model.theorem is None:
+    others = [model for model in scenario.models if not model.bounded]
+    if not all(model.theorem for model in others):
         return known_bodies(scenario, asked)
+    if not others:
+        return ""
+    model = others[0]
     if asked.by == "tank":
         no_time = f"none: no time by which {model.name} robots meet under a tank is proven"
         return no_time + _even_so(scenario, asked, "; theorem D still keeps V bounded")
@@ -123,8 +136,9 @@ def frames_stay(scenario: Scenario, asked: Asked) -> str:
 
 
 def robots_turn(scenario: Scenario, asked: Asked) -> str:
-    """The robot model is one of the paper's nonholonomic models."""
-    return "none: theorems 3 and 4 are for robots that turn" if scenario.model.bounded else ""
+    """Some robot is of one of the paper's nonholonomic models."""
+    turning = any(not model.bounded for model in scenario.models)
+    return "" if turning else "none: theorems 3 and 4 are for robots that turn"
 
 
 def no_obstacles(scenario: Scenario, asked: Asked) -> str:

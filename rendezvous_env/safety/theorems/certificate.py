@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from ...checks import choice, is_sequence, known_arguments, raise_invalid, to_float
+from ...checks import choice, is_sequence, raise_invalid, to_float
 from ...deprecation import renamed_attribute
+from ...field_checks import known_arguments
 from ...field_docs import lists_fields
 from ...field_repr import repr_of_changes
 from ...scenario.scenario import Scenario
@@ -114,11 +115,11 @@ class Certificate:
         kept = [_KEPT[name].format(bound, free) for name, bound in known]
         hears = self.by in ("heading", "tank", "links")
         if kept and hears and self.bearing_error > 0:
-            kept.append(f"all of this if the wrapper is told bearing_error={self.bearing_error}")
+            kept.append(f"all of this with bearing_error={self.bearing_error} in the wrapper")
         if self.tolerated_bearing_error > 0:
-            told = " if the wrapper is told so" * hears
+            told = ", with that bearing_error in the wrapper" * hears
             error = at_least(self.tolerated_bearing_error, 3)
-            kept.append(f"bearings may err by up to {error} rad{told}, less what rounding takes")
+            kept.append(f"bearings may err by up to {error} rad, minus rounding{told}")
         first = f"{self.scenario} under {self.policy or CHOICES[self.by]}: {self.theorem}"
         numbers = "; ".join(kept) or "No other number is promised."
         return f"{first}\n{numbers}\n{self._by_when()}"

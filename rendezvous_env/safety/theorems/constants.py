@@ -154,7 +154,7 @@ def lyapunov_bound(
 
     See theory 5. V(0) is ``largest_lyapunov`` if None. The increase is doubled with obstacles. If
     linked robots start within r, two of them merge at once while others move by r/2 or ``reach``,
-    m, which raises V by at most 4 W of it, once.
+    m. This raises V by at most 4 W times that length, once.
     """
     rises = (2.0 if scenario.obstacles else 1.0) * merge_rise_allowance(scenario)
     most = largest_lyapunov(scenario) if initial_lyapunov is None else initial_lyapunov
@@ -168,9 +168,12 @@ def lyapunov_bound(
 def tank_bounds(
     scenario: Scenario, budget: float, observes_merges: bool = True
 ) -> tuple[float, float | None]:
-    """A pair: the most that V with all tanks can be, V0⁺ + (n−1) r W + ΣB_i, m²/s; and where levels
-    follow V, as those of tanks that observe merges do on complete graphs of one weight, what it is
-    m − 1 times of at most while m are left, (V(0) + ΣB_i)/(n−1) + (n−1) r a; else None (theorem D).
+    """Bounds on V plus the stored energies of all tanks, m²/s (theorem D).
+
+    Returns:
+        V0⁺ + (n−1) r W + ΣB_i, a bound at any time, and b = (V(0) + ΣB_i)/(n−1) + (n−1) r a. While
+        m robots are left, the sum is at most (m−1) b. b is None unless stored energies follow V:
+        tanks that observe merges, on complete graphs of one weight.
     """
     n, reach, each = scenario.n_robots, scenario.speed_limit * scenario.tau, None
     most = float(lyapunov_bound(scenario, reach=reach)) + merge_rise_allowance(scenario)

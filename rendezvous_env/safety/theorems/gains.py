@@ -13,8 +13,8 @@ over τ, τ C < r (D1):
 
 and with a leader that of n − 1 robots in the directions within 75° of one, times 0.78.
 
-For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart, in
-which any robots may stand still; L0 holds what it grows by in others.
+For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart. Any
+robots may stand still in it. L0 includes the growth in other steps.
 A robot that crashes is a stationary root from then on, on an undirected graph too.
 Proof: docs/proofs.md, G and D1.
 """

@@ -5,11 +5,11 @@ held. Given the past, link ij is detected with probability p(‖p_ij‖) ≥ q, 
 pair; with persistence it is redrawn with probability 1 − κ, and unchanged otherwise. In E[L] robots
 may differ in p, and q is that of the robot that detects least.
 
-**E[T].** Undirected connected graph, no velocity scaling; white noise is allowed. With γ the mean
-cosine of the noise, A = γ(1−κ), b = γκ, p ≤ p̄, θ = 2D̄h/r, β = max(r p(d)/d) + r max p′₊ and X ≥
-2q c_m the sum of all ‖Σ_j p_ij a_ij g_ij‖,
+**E[T].** Undirected connected graph, no velocity scaling; white noise is allowed. γ is the mean
+cosine of the noise, p ≤ p̄, and X ≥ 2q c_m the sum of all ‖Σ_j p_ij a_ij g_ij‖. Then
 
     E[T] ≤ (p̄ V0⁺ + (n−1) c)/F,     F = min_m min_X αX²/m − 2ηD̄_m X − m ζ D̄_m² − N_m > 0,
+    A = γ(1−κ),   b = γκ,   θ = 2D̄h/r,   β = max(r p(d)/d) + r max p′₊,
     α = A(2 − θβA),   η = b|1 − θβA|,   ζ = θβb²,   N_m = ½θβ (D̄_m/D̄) Σa_ij² max_π (π − γ²π²),
     c = 4hD̄² (p̄ + θβ(1 − a/D̄)/4) for the loss by a merge, a the least weight; 8hD̄² (p̄ + θβ/2)
     if rows are held. For exact detection and noise q = p̄ = β = 1, κ = 0.

@@ -15,8 +15,11 @@ sin(η/2) D_i, c_m ≤ D_i ≤ D̄_m for m active robots, and ρ_m = m D̄_m sin
     T ≤ (V0⁺ + (n−1) τ Σ e_i²) max_m m/(4c_m²(1 − ρ_m²)) + (n−1) τ.
 
 **N1'.** Under headings certified for f̂ with speed max(0, h·f̂_i − e_i), V never increases between
-merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m − ε β a* m/n − 2 (1+ε) m D̄_m
-sin(η/2), β = ½, are positive. If V/(m−1) never increases at merges, V(0)/(n−1) and q_m²/(m−1) may
+merges. If all q_m are positive, with β = ½,
+
+    T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ,     q_m = 2ε c_m − ε β a* m/n − 2 (1+ε) m D̄_m sin(η/2).
+
+If V/(m−1) never increases at merges, V(0)/(n−1) and q_m²/(m−1) may
 replace V0⁺ and q_m².
 
 Proofs: docs/proofs.md, N to N1'.

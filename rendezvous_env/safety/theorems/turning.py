@@ -1,4 +1,4 @@
-"""Theorems T, 3 and 4: nonholonomic robots with a limited turn rate.
+"""Theorems T, 3 and 4: nonholonomic robots with a limited turn rate, and mixed teams.
 
 **T.** Fixed, undirected, connected graph, exact bearings of all neighbours, no obstacles; unicycles
 or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, zero-order hold, any desired
@@ -13,6 +13,11 @@ V decreases by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). Proo
 
 **3 and 4.** Laws (7)(8) and (12)(17) of the paper achieve rendezvous in continuous time, without a
 known time bound.
+
+**Mixed teams.** Some robots are single integrators, the others unicycles (nonholonomic robots in
+3-D). T has the same bound: single integrators under certified headings are productive in every step
+that they begin with ‖f‖ ≥ 2δ. Theorem 3 holds where the single integrators move by law (1).
+Proof: docs/proofs.md, Mixed teams.
 """
 
 import math
@@ -71,20 +76,43 @@ def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     windows = known.over_rate(known.lyapunov_bound(scenario), fall) + scenario.n_robots
     words = (
         "theorem T: under the gate robots that turn meet in finite time, whatever turn rates are "
-        "asked for; the bound is very loose and needs a wrapper that allows "
+        "asked for"
+    )
+    if scenario.mixes_models:
+        words = (
+            "theorem T, mixed teams: under certified headings and the gate all robots meet in "
+            "finite time, whatever headings and turn rates are asked for"
+        )
+    words += (
+        "; the bound is very loose and needs a wrapper that allows "
         f"{min(scenario.min_turn_limit, MAX_TURN_RATE):g} rad/s"
     )
     return Bounds(words, meets=True, time=float(count * scenario.tau * windows))
 
 
+def planar_if_mixed(scenario: Scenario, asked: Asked) -> str:
+    """A mixed team moves in the plane, where its laws have no singularity."""
+    if not scenario.mixes_models or scenario.dim == 2:
+        return ""
+    return (
+        "none: law (17) is singular where a robot points up or down, and no theorem covers it in a "
+        'mixed team; by="heading" has one'
+    )
+
+
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorems 3 and 4."""
     words = f"{scenario.model.theorem}: the paper's law meets in continuous time; no bound"
+    if scenario.mixes_models:
+        words = (
+            "theorems 1 and 3, mixed teams: the law of each robot's model meets in continuous "
+            "time; no bound"
+        )
     return Bounds(words, meets=True)
 
 
 _LASTS = given.outlasts_rounding, turns_outlast_rounding
 THEOREMS = (
     Theorem("T", ("heading",), (*given.TURNING, *_LASTS), gate_bounds),
-    Theorem("3 and 4", ("law",), given.TURNING, law_bounds),
+    Theorem("3 and 4", ("law",), (*given.TURNING, planar_if_mixed), law_bounds),
 )

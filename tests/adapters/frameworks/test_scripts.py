@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from conftest import run_python
+from parameters import marked
 from run_table import FRAMEWORKS
 
 HERE = Path(__file__).parent
@@ -19,7 +20,10 @@ SMALL = {  # by the rarest module that each needs
 }
 
 
-@pytest.mark.parametrize("needed", [module for module in SMALL if find_spec(module)])
+INSTALLED = [module for module in SMALL if find_spec(module)]
+
+
+@pytest.mark.parametrize("needed", marked(INSTALLED, slow={*INSTALLED} - {"numpy"}))
 def test_framework_script_runs(needed):
     assert {framework.script for framework in FRAMEWORKS.values()} == {s[0] for s in SMALL.values()}
     said = run_python(HERE, *SMALL[needed], "--starts", "2").stdout

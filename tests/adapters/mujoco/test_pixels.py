@@ -131,5 +131,5 @@ def test_reproduce_pixels_compares_with_camera_preset(tmp_path):
     said = run_python(ROOT, "-m", "train.cli", "reproduce", *words, "--out", tmp_path).stdout
     assert "100.0% by Sensing.camera()" in said
     (row,) = results.read_csv(tmp_path / "pixels.csv")
-    assert [row[name] for name in ("clean", "predicted", "exact")] == ["1.0"] * 3
+    assert [row[name] for name in ("collision_free", "predicted", "exact")] == ["1.0"] * 3
     assert float(row["steps_per_core_second"]) > 10

@@ -96,10 +96,10 @@ def test_evaluation_reports_success_and_time(tmp_path):
     held_out.on_evaluation_end(list(data.unbind(0)))
     found = held_out.evaluations[0]
     ended = data["next", "terminated"].any(dim=1)[:, 0].numpy()
-    assert 0 < ended.sum() and found.met == found.clean == ended.sum() / 6
+    assert 0 < ended.sum() and found.met == found.collision_free == ended.sum() / 6
     data["next", "contacts"][:] = 1
     held_out.on_evaluation_end(list(data.unbind(0)))
-    assert held_out.evaluations[1].clean == 0.0 < held_out.evaluations[1].met
+    assert held_out.evaluations[1].collision_free == 0.0 < held_out.evaluations[1].met
     assert env.simulator.time[~ended] == pytest.approx(data.shape[1] * env.seconds_per_step)
     times = np.where(ended, data.shape[1] * env.seconds_per_step, np.inf)
     assert found.median_time == np.median(times)

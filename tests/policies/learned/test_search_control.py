@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from parameters import slow
+from robot_actions import single_and_batch
 from training_runs import assert_goes_on
 
 import baselines
@@ -198,16 +200,10 @@ def test_single_robot_acts_as_one_of_a_batch(name):
     drawn = weights(SETTINGS, SETTINGS.layout_of(scenario))
     policy = LearnedPolicy(scenario, drawn, SETTINGS)
     robot = baselines.RobotPolicy(scenario, LearnedPolicy(scenario, drawn, SETTINGS))
-    simulator, layout, commands = rv.Simulator(scenario), scenario.observation_layout, set()
-    observations = simulator.reset(3)
-    for _ in range(250):
-        actions = policy(observations, simulator.time)
-        seen = layout.split(observations[0, 1])
-        rows = seen.neighbours[seen.neighbours.any(axis=-1)]
-        edges = seen.obstacles[seen.obstacles.any(axis=(-1, -2))]
-        np.testing.assert_allclose(robot.act(rows, edges), actions[0, 1], atol=1e-6)
-        commands.add(tuple(actions[0, 1].tolist()))
-        observations = simulator.step(actions).observations
+    commands = set()
+    for alone, together in single_and_batch(policy, robot):
+        np.testing.assert_allclose(alone, together, atol=1e-6)
+        commands.add(tuple(together.tolist()))
     assert len(commands) > 2 and policy.guarantee is None
 
 
@@ -277,7 +273,7 @@ def test_environment_pays_own_progress_to_robots():
     np.testing.assert_array_equal(extra[0], usual[0])
 
 
-@pytest.mark.parametrize("memory", [{}, {"memory": "recurrent", "memory_units": 8}])
+@pytest.mark.parametrize("memory", [{}, slow({"memory": "recurrent", "memory_units": 8})])
 def test_resumed_training_is_identical(memory, tmp_path):
     """With the memory of features alone, and with a recurrent unit on top of it."""
     brief = {"decision_period": 10, "num_envs": 6, "total_steps": 3 * 6 * 5 * 16, "eval_every": 0}

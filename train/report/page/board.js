@@ -1,8 +1,8 @@
 // Tables of leaderboard.csv and of its cells, which lead to replays.
 
 const PERCENT = (cell) => fixed(cell, 1, 100);
-const CLEAN = { title: "collision-free %", show: PERCENT, bar: true, best: 1, key: true,
-  value: "clean", range: ["clean_low", "clean_high"] };
+const COLLISION_FREE = { title: "collision-free %", show: PERCENT, bar: true, best: 1, key: true,
+  value: "collision_free", range: ["collision_free_low", "collision_free_high"] };
 const TIME = { title: "time s", show: (cell) => fixed(cell, 1), best: -1, key: true,
   value: "time", range: ["time_low", "time_high"] };
 const COUNTS = [
@@ -15,7 +15,7 @@ const BOARD_COLUMNS = [
   { title: "safety", value: "safety", word: true },
   { title: "guarantee", value: "guarantee", word: true },
   { title: "reads", value: "given", word: true },
-  CLEAN,
+  COLLISION_FREE,
   TIME,
   ...COUNTS,
   { title: "rise, % of V₀", value: "rise", show: short, best: -1 },
@@ -28,7 +28,7 @@ const CELL_COLUMNS = [
     names: true },
   { title: "field", value: "scenario", word: true },
   { title: "seed", value: "seed", show: (cell) => cell, best: -1, key: true },
-  { ...CLEAN, range: null, bar: false },
+  { ...COLLISION_FREE, range: null, bar: false },
   { ...TIME, range: null },
   ...COUNTS,
   { title: "replay", value: "replay", word: true, key: true,
@@ -54,7 +54,8 @@ const runsOf = (algorithm, field) =>
 
 /** Collision-free success of an algorithm on each field, mean over runs. */
 function fieldRow({ algorithm }) {
-  const mean = (runs) => runs.reduce((sum, { clean }) => sum + Number(clean), 0) / runs.length;
+  const mean = (runs) =>
+    runs.reduce((sum, run) => sum + Number(run.collision_free), 0) / runs.length;
   const cells = FIELDS.map((field) => [field, runsOf(algorithm, field)]);
   return { algorithm, ...Object.fromEntries(
     cells.map(([field, runs]) => [field, runs.length ? String(mean(runs)) : ""])) };

@@ -6,8 +6,8 @@ const isReference = ({ scenario, policy }) =>
   DATA.rankings.some((one) => one.scenario === scenario && one.references.includes(policy));
 
 /** 1 where all went well on a start, else 0; contacts count only where they can. */
-function quality({ outcome: { clean, success } }) {
-  return Number(clean === "" ? success : clean);
+function quality({ outcome: { collision_free: free, success } }) {
+  return Number(free === "" ? success : free);
 }
 
 /** The same over all starts of a policy, from 0 to 1. */

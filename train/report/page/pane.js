@@ -104,7 +104,7 @@ class Pane {
     const { scenario, start, policy } = this.rec;
     const time = `${state.time.toFixed(2)} s`;
     savePicture(`${scenario}-${start}-${policy}-${time}.png`,
-      `${scenario}, start ${start}: ${policy}, ${time}; right: observation of robot ${state.chosen}`,
+      `${scenario}, initial condition ${start}: ${policy}, ${time}; right: observation of robot ${state.chosen}`,
       [...this.worlds, ...this.eyes]);
   }
 

@@ -75,7 +75,7 @@ async function load(time) {
 function sentence(found) {
   const [{ scenario, start, outcome }] = found;
   const single = DATA.results.find((row) => row.scenario === scenario).episodes === "1";
-  const where = single ? scenario : `${scenario}, start ${start}`;
+  const where = single ? scenario : `${scenario}, initial condition ${start}`;
   return outcome && `${where}: ${found.map(ending).join("; ")}.`;
 }
 
