@@ -68,8 +68,10 @@ def _turn_four(numbers, x, y, k, shown):
     two = _turned(numbers[k + _2], numbers[k + _3], x, y)
     three = _turned(numbers[k + _4], numbers[k + _5], x, y)
     four = _turned(numbers[k + _6], numbers[k + _7], x, y)
-    shown[k], shown[k + _1], shown[k + _2], shown[k + _3] = *one, *two
-    shown[k + _4], shown[k + _5], shown[k + _6], shown[k + _7] = *three, *four
+    shown[k], shown[k + _1], shown[k + _2], shown[k + _3] = one[0], one[1], two[0], two[1]
+    shown[k + _4], shown[k + _5], shown[k + _6], shown[k + _7] = (
+        three[0], three[1], four[0], four[1]
+    )  # fmt: skip
 
 
 @inner_kernel(inline="code")
