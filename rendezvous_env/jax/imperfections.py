@@ -7,6 +7,7 @@ of ``engine.stages.apply_noise``. Arrays have the environment axis last; rows ar
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -18,7 +19,7 @@ from ..sensors import chance
 from ..sensors.imperfections import imperfections_of, is_in_view, is_seen
 from ..sensors.sensing import Sensing
 from .arrays.array_form import Array, array_form, replaces
-from .arrays.random_streams import Word, exclusive_or, mix, stream_keys, times, word, word_of
+from .arrays.random_streams import Word, joined, mixed, stream_keys, wide, word_of
 
 COVERED = ("range", "field_of_view", "noise", "bias", "dropout", "delay", "delay_time")
 """Fields of ``Sensing`` that the JAX form covers."""
@@ -73,9 +74,8 @@ class Sensor:
     def keys(self, seed: Array, episode: Array, step: Array) -> Keys:
         """Keys of seeds (2, *batch), episodes and steps (*batch)."""
         (key,) = stream_keys((seed[0], seed[1]), episode, SENSING)
-        count = (step + 1).astype(jnp.uint32)
-        product = times((jnp.zeros_like(count), count), word(int(chance._STEP)))
-        return Keys(key, mix(exclusive_or(key, product)))
+        with jax.enable_x64(True):  # ``chance.step_key``
+            return Keys(key, mixed(joined(key) ^ (wide(step + 1) * chance._STEP)))
 
     def neighbours(self, rows: Array, offset: Any, frame: Any, keys: Keys) -> Array:
         """Rows (n, n, d, *batch) of all pairs, as the first of each pair observes them.

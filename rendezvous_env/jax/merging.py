@@ -130,10 +130,9 @@ class Merging:
         return np.arange(len(self._first)).reshape(-1, *[1] * pair.ndim) == pair
 
     def _point(self, values: Array, robot: Array) -> Any:
-        """Vector of one robot, (*batch), as a triple."""
+        """Vector of one robot, (*batch), as a tuple."""
         chosen = np.arange(self._n).reshape(-1, *[1] * robot.ndim) == robot
-        place = jnp.sum(jnp.where(chosen[:, None], values, 0.0), axis=0)
-        return (*place, jnp.zeros_like(place[0]))[:3]
+        return tuple(jnp.sum(jnp.where(chosen[:, None], values, 0.0), axis=0))
 
     def _is_hidden(self, moving: Moving, here: Array, pair: Array) -> Array:
         """Whether an obstacle prevents the merge of a pair, (*batch)."""
@@ -157,8 +156,7 @@ class Merging:
         middle = 0.5 * jnp.sum(jnp.where(merging[:, None], here, 0.0), axis=0)
         if self._fields is not None:  # the place of the lower index is collision-free
             world = self._fields.world(moving.obstacles, pair.ndim)
-            point = (*middle, jnp.zeros_like(middle[0]))[:3]
-            is_clear = self._fields.shapes.is_clear(world, point, 0.0)
+            is_clear = self._fields.shapes.is_clear(world, tuple(middle), 0.0)
             place = jnp.sum(jnp.where(is_first[:, None], here, 0.0), axis=0)
             middle = jnp.where(is_clear, middle, place)
         into = moving.merged_into

@@ -5,6 +5,7 @@ Positions are (n, d, *batch), frames (n, d·d, *batch), weights (n, n, *batch).
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from ..physics.potential import observed, sighting
@@ -94,7 +95,7 @@ def sense_obstacles(
     frame, bearing = (tuple(a[:, k] for k in range(a.shape[1])) for a in (frames, net))
     axes = [array_form(local_axis)(frame, k) for k in range(2)] if d == 3 else ()
     seen = shapes.silhouettes(world, _points(positions), bearing, axes)
-    local = [jnp.stack(array_form(to_local)(frame, one[:d]), axis=2) for one in seen]
+    local = [jnp.stack(array_form(to_local)(frame, one), axis=2) for one in seen]
     rows = jnp.swapaxes(jnp.stack(local, axis=2), 0, 1)  # (n, M, S, d, *batch)
     near = jnp.swapaxes(distance <= reach, 0, 1)
     rows = jnp.where(near[:, :, None, None], rows, 0.0).astype(dtype)
@@ -105,14 +106,13 @@ def sense_obstacles(
 
 def _of_robots(world: World) -> World:
     """Obstacles (…, *batch) with an axis for the robots before the batch."""
-    present, shapes, skins = world
-    return World(present[:, None], shapes[:, :, None], skins[:, None])
+    edges = jax.tree.map(lambda values: values[:, :, None], world.edges)
+    return World(world.present[:, None], world.shapes[:, :, None], world.skins[:, None], edges)
 
 
 def _points(positions: Array) -> Any:
-    """Positions as a triple of (n, *batch)."""
-    parts = tuple(positions[:, k] for k in range(positions.shape[1]))
-    return (*parts, jnp.zeros_like(parts[0]))[:3]
+    """Positions as a tuple of (n, *batch)."""
+    return tuple(positions[:, k] for k in range(positions.shape[1]))
 
 
 def _distances(shapes: Shapes, world: World, positions: Array, active: Array) -> Array:

@@ -97,8 +97,7 @@ class Starts:
             kept = busy & ~jnp.any(others & (square < near), axis=0)
             if self._fields is not None:
                 world = self._fields.world(obstacles, len(batch))
-                point = (*place, jnp.zeros_like(place[0]))[:3]
-                kept &= self._fields.shapes.is_clear(world, point, self._fields.keep_out)
+                kept &= self._fields.shapes.is_clear(world, tuple(place), self._fields.keep_out)
             mine = (robots == robot) & kept
             positions = jnp.where(mine[:, None], place[None], positions)
             tries = jnp.where(kept, 0, tries + busy)

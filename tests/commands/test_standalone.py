@@ -6,6 +6,7 @@ import py_compile
 import re
 import sys
 import zipfile
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -308,6 +309,14 @@ def test_standalone_file_of_long_path_is_recognised(exported, tmp_path):
 
 
 class TestBundle:
+    def test_stand_ins_replace_words_that_exist(self):
+        chosen = (standalone._OF_OTHER_DIMENSIONS, standalone._OF_OTHER_GUIDES)
+        replaced = [*standalone._STAND_INS, *standalone._WITHOUT_BODIES]
+        replaced += [name for tables in chosen for table in tables.values() for name in table]
+        assert len(replaced) > 10
+        for name in replaced:
+            assert hasattr(import_module(name.module), name.word), name
+
     def test_bundle_includes_steering_and_disambiguates_names(self, exported):
         """The command compares file and policy on random ticks."""
         path = exported("learned-tank", "unicycle-6")

@@ -69,7 +69,8 @@ def _shapes(kind, dim):
     world = obstacle_set.world_of(obstacle_set.pack(made, len(made)), dim=dim)
     present = np.ones((len(made), 1), bool)
     arrays = shapes.World(present, world.shapes[..., None], world.skins[:, None])
-    return world, shapes.Shapes(world.kinds, world.corners, dim, shapes.EXACT, False), arrays
+    form = shapes.Shapes(world.kinds, world.corners, dim, shapes.EXACT, False)
+    return world, form, form.with_edges(arrays)
 
 
 SHAPES = [("capsule", 2), ("polygon", 2), ("sphere", 3), ("capsule", 3)]
@@ -84,14 +85,14 @@ def test_shapes_equal_the_kernels(kind, dim, rj):
     rng = np.random.default_rng(2)
     points, ways = rng.uniform(-2.0, 2.0, (2, 200, 3))
     points[:, dim:], ways[:, dim:] = 0.0, 0.0
-    point, way = tuple(points.T), tuple(ways.T)
+    point, way = tuple(points.T[:dim]), tuple(ways.T[:dim])
     distance, normal = shapes.surface(arrays, point)
     entries = {depth: shapes.entry(arrays, point, way, depth) for depth in (1e-6, -0.3)}
     for m in range(len(world.kinds)):
         expected = [obstacle_set.surface(world, m, tuple(one)) for one in points]
         np.testing.assert_allclose(distance[m], [one[0] for one in expected], atol=1e-12)
         normals = np.stack([part[m] for part in normal], axis=1)
-        np.testing.assert_allclose(normals, [one[1] for one in expected], atol=1e-9)
+        np.testing.assert_allclose(normals, [one[1][:dim] for one in expected], atol=1e-9)
         for depth, entry in entries.items():
             pairs = [(tuple(p), tuple(w)) for p, w in zip(points, ways, strict=True)]
             found = [obstacle_set.entry(world, m, p, w, depth) for p, w in pairs]
@@ -108,7 +109,7 @@ def test_shapes_equal_the_kernels(kind, dim, rj):
             else:
                 f = tuple(part[k] for part in net)
                 obstacle_set.silhouette_3d(world, m, tuple(points[k]), f, *map(tuple, axes), out)
-            found = [[part[m, k] for part in one[:dim]] for one in edges]
+            found = [[part[m, k] for part in one] for one in edges]
             np.testing.assert_allclose(found, out, atol=1e-9)
 
 

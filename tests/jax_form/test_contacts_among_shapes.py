@@ -68,10 +68,10 @@ def test_contacts_equal_the_kernels(name, mode, rj):
         expected.append(move_straight(tuple(point), tuple(way), world, mode, normals))
     move = contact.Contact(fields.shapes, mode).move_straight
     met, executed = jax.jit(lambda p, w: move(fields.world(None, 1), p, w))(
-        tuple(points.T), tuple(ways.T)
+        tuple(points.T[:dim]), tuple(ways.T[:dim])
     )
     np.testing.assert_array_equal(met, [one[0] for one in expected])
-    apart = np.abs(np.stack(executed, axis=1) - [one[1] for one in expected]).max(axis=1)
+    apart = np.abs(np.stack(executed, axis=1) - [one[1][:dim] for one in expected]).max(axis=1)
     # on the surface of a skin rounding decides, and the compiler may contract products and sums
     assert (apart < 1e-9).mean() > 0.99 and apart.max() < SKIN
     assert 50 < np.sum(met) < len(points)
@@ -95,8 +95,8 @@ def test_gradients_of_contacts_equal_differences(name, mode, rj):
     factors = rng.uniform(0.5, 1.0, 3)
 
     def along(given):
-        met, executed = move(fields.world(None, 1), tuple(given[0]), tuple(given[1]))
-        return sum(f * part for f, part in zip(factors, executed, strict=True)), met
+        met, executed = move(fields.world(None, 1), tuple(given[0, :dim]), tuple(given[1, :dim]))
+        return sum(f * part for f, part in zip(factors, executed, strict=False)), met
 
     value = jax.jit(lambda given: along(given)[0])
     slopes, met = jax.jit(jax.grad(lambda given: (lambda a, m: (a.sum(), m))(*along(given)),

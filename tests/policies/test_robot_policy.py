@@ -124,7 +124,7 @@ def test_robots_of_a_mixed_team_act_as_in_the_team(scenario):
 def test_robot_policy_needs_the_index_of_a_robot_with_limits_of_its_own():
     with pytest.raises(ValueError, match="pass robot=i"):
         RobotPolicy("mixed-8", "by-model")
-    with pytest.raises(ValueError, match="robot is 8; it must be an integer from 0 to 7"):
+    with pytest.raises(ValueError, match="robot is 8; it must be an integer, 0 or more, at most 7"):
         RobotPolicy("mixed-8", "by-model", robot=8)
     with pytest.raises(ValueError, match="double_integrator robots"):
         heavy = rv.Scenario(n_robots=2, robot_model=["unicycle", "double_integrator"])

@@ -302,7 +302,7 @@ def test_thousands_of_random_scenarios_hold(tmp_path):
     status, rows, printed = command(tmp_path, trials=2_500, kinds=8, jobs=None)
     assert status == 0, printed
     granted = {row["theorem"]: int(row["granted"]) for row in rows}
-    assert sum(granted.values()) > 2000 and len(granted) > 30
+    assert sum(granted.values()) > 1800 and len(granted) > 30
 
 
 @pytest.mark.slow

@@ -60,7 +60,7 @@ def resolve(scenario, **overrides):
     """Scenario of this file."""
     return scenario
 ''',
-    Name("rendezvous_env.checks", "check_fields"): '''
+    Name("rendezvous_env.field_checks", "check_fields"): '''
 def check_fields(made):
     """Values were checked when this file was written."""
 ''',

@@ -28,16 +28,20 @@ def for_teams(
     batch = which.shape[0]
     size = min(batch, max(_FEWEST, batch // _SHARE))
 
+    numbered = jnp.cumsum(which)
+    place = jnp.where(which, numbered - 1, batch + size)
+    # unsigned, so that no index is looked up from the end
+    order = jnp.full(batch + size, batch, jnp.uint32)
+    order = order.at[place].set(jnp.arange(batch, dtype=jnp.uint32), mode="drop")
+
     def work(now: Any) -> Any:
-        left, results = now
-        place = jnp.where(left, jnp.cumsum(left) - 1, size)
-        # unsigned, so that no index is looked up from the end
-        teams = jnp.full(size, batch, jnp.uint32)
-        teams = teams.at[place].set(jnp.arange(batch, dtype=jnp.uint32), mode="drop")
+        first, results = now
+        teams = jax.lax.dynamic_slice_in_dim(order, first, size)
         some = jax.tree.map(lambda a: jnp.take(a, teams, axis=-1, mode="clip"), given)
         results = jax.tree.map(
             lambda a, b: a.at[..., teams].set(b, mode="drop"), results, function(some)
         )
-        return left.at[teams].set(False, mode="drop"), results
+        return first + size, results
 
-    return jax.lax.while_loop(lambda now: jnp.any(now[0]), work, (which, otherwise))[1]
+    begun = jnp.zeros((), numbered.dtype), otherwise
+    return jax.lax.while_loop(lambda now: now[0] < numbered[-1], work, begun)[1]

@@ -1,6 +1,6 @@
 """Contact with obstacles over arrays: ``obstacles.contact`` for many robots at once.
 
-Robots are lanes, (L,), the last axis of every array. Points and displacements are triples.
+Robots are lanes, (L,), the last axis of every array. Points and displacements are tuples of d.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ from ...obstacles.contact import (
     STOP,
 )
 from ...obstacles.obstacle_set import _MAX_PUSHES
-from ...physics.vectors import cross, dot, triple
+from ...physics.vectors import cross, dot
 from ...robots.motion import SLID, STOPPED, chord_error_bound, displacement_at, period
 from ..arrays.array_form import Array, array_form, norm_of, select
 from ..arrays.selection import divided
@@ -98,7 +98,7 @@ class Contact:
         return met, tuple(jnp.where(has_room, part, 0.0) for part in executed)
 
     def _displacement(self, curve: Any, time: Any) -> Any:
-        moved = array_form(triple)(array_form(displacement_at)(*curve, time))
+        moved = array_form(displacement_at)(*curve, time)
         return tuple(jnp.broadcast_to(part, time.shape) for part in moved)
 
     def _first_contact(self, world: World, point: Any, way: Any, depth: Any) -> tuple[Array, Array]:
@@ -253,18 +253,20 @@ class Contact:
             chosen = tuple(jnp.sum(jnp.where(mine, part, 0.0), axis=0) for part in candidates)
             return select(jnp.max(length, axis=0) > _dot(best, best), chosen, best)
 
+        def onto_plane(n: Any) -> Any:
+            return _subtract(velocity, _scaled(n, _dot(velocity, n)))
+
         def face(m: Any, n: Any) -> Any:
             """``contact._onto_face``: onto a plane, or the line in which two planes meet."""
-            line, along = array_form(cross)(m, n), _dot(velocity, n)
+            line = array_form(cross)(m, n)
             squared = _dot(line, line)
-            plane = tuple(v - along * part for v, part in zip(velocity, n, strict=True))
             onto_line = _scaled(line, divided(_dot(velocity, line), squared))
-            return select(squared < self._tolerances.parallel, plane, onto_line)
+            return select(squared < self._tolerances.parallel, onto_plane(n), onto_line)
 
-        none = (jnp.zeros_like(velocity[0]),) * 3
+        none = (jnp.zeros_like(velocity[0]),) * self._shapes.dim
         if self._shapes.dim == 2:  # two planes leave no direction in the plane
             kept = each[:1] if each[0] is each[1] else each
-            faces = [face(normals, normals) for normals in kept]
+            faces = [onto_plane(normals) for normals in kept]
             best = longest_of(
                 tuple(jnp.stack(parts, axis=1).reshape(-1, *touched.shape[1:])
                       for parts in zip(*faces, strict=True)),
@@ -395,16 +397,17 @@ class ObstacleContact:
             return self._fields.world(None, 1)
 
         if obstacles.present.ndim == 1:  # one environment
-            return jax.tree.map(lambda values: values[..., None], obstacles)
-        return jax.tree.map(lambda values: jnp.take(values, environment, axis=-1), obstacles)
+            world = jax.tree.map(lambda values: values[..., None], obstacles)
+        else:
+            world = jax.tree.map(lambda values: jnp.take(values, environment, axis=-1), obstacles)
+        return self._fields.shapes.with_edges(world)
 
     def _stop(self, world: World, given: Any) -> Any:
-        zero = jnp.zeros_like(given["way"][0])
-        point, way = ((*given[name], zero)[:3] for name in ("point", "way"))
+        point, way = tuple(given["point"]), tuple(given["way"])
         action, frame, memory = (tuple(part) for part in given["curve"])
         if memory:
             curve = self._model, action, frame, memory
             met, executed = self._contact.move_curved(world, point, way, curve)
         else:
             met, executed = self._contact.move_straight(world, point, way)
-        return jnp.stack(executed[: len(given["way"])]), met
+        return jnp.stack(executed), met

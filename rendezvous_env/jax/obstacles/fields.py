@@ -63,10 +63,11 @@ class Fields:
 
     def world(self, state: World | None, ndim: int) -> World:
         """Obstacles of environments, from those of the state, with ``ndim`` batch axes."""
-        if self.fixed is None:
-            assert state is not None
-            return state
-        return jax.tree.map(lambda one: one if ndim else one[..., 0], self.fixed)
+        world = state
+        if self.fixed is not None:
+            world = jax.tree.map(lambda one: one if ndim else one[..., 0], self.fixed)
+        assert world is not None
+        return self.shapes.with_edges(world)
 
     def draw(self, key: Word, batch: tuple[int, ...], starts: Any) -> World:
         """Sample obstacles from streams (*batch), clear of initial positions (n, d, *batch).
@@ -127,27 +128,25 @@ class Fields:
         """``walls.draw_walls``: layouts until one is clear of given positions."""
         slots = self.shapes.count
         none = jnp.zeros((slots, *batch), self._dtype)
+        columns = np.arange(OWN_AND_BOX).reshape(-1, *[1] * len(batch))
 
         def world_of_trial(trial: Any) -> World:
             made = _Canvas()
             drawn = numbers(key, trial * _NUMBERS, _NUMBERS, self._dtype)
             array_form(_draw_layout)(drawn, 0, self._rules, made)
-            rows = [
-                [jnp.broadcast_to(made.shapes.get((m, k), 0.0), batch) for k in range(OWN_AND_BOX)]
-                for m in range(slots)
-            ]
-            shapes = jnp.stack([jnp.stack(row) for row in rows]).astype(self._dtype)
-            return World(none == 0.0, shapes, none)
+            walls = [jnp.zeros((OWN_AND_BOX, *batch), self._dtype)] * slots
+            for (m, k), value in made.shapes.items():  # selections, which XLA compiles at once
+                walls[m] = jnp.where(columns == k, value, walls[m])
+            return World(none == 0.0, jnp.stack(walls), none)
 
         zero = jnp.zeros(batch, jnp.int32)
         if starts is None:
             return world_of_trial(zero)
 
         def is_clear(world: World) -> Array:
-            clear = jnp.ones(batch, bool)
+            clear, known = jnp.ones(batch, bool), self.shapes.with_edges(world)
             for start in starts:
-                point = _triple(start)
-                clear &= self.shapes.is_clear(world, point, self._rules.keep_out)
+                clear &= self.shapes.is_clear(known, tuple(start), self._rules.keep_out)
             return clear
 
         def retry(now: Any) -> Any:
@@ -203,11 +202,6 @@ class _Canvas:
 def _failed(shapes: Array, fails: Array) -> Array:
     """Shapes, NaN where an episode has no room for them."""
     return jnp.where(fails, jnp.nan, shapes)
-
-
-def _triple(position: Any) -> Any:
-    parts = tuple(position)
-    return (*parts, jnp.zeros_like(parts[0]))[:3]
 
 
 def _least_depth(balls: Any) -> Array:

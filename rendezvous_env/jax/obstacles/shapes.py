@@ -1,7 +1,7 @@
 """Shapes over arrays: distances, entries, normals of all obstacles at once.
 
-Arrays have the environment axis last. Points are triples of arrays (*batch), z = 0 in 2-D; results
-have the obstacles first, (M, *batch). The equations are those of ``obstacles.disc`` and
+Arrays have the environment axis last. Points are tuples of 2 or 3 arrays (*batch); results have the
+obstacles first, (M, *batch). The equations are those of ``obstacles.disc`` and
 ``obstacles.capsule``; those of polygons, whose loops end early, are repeated here.
 """
 
@@ -33,7 +33,7 @@ from ...physics.vectors import combine, cross, dot
 from ..arrays.array_form import Array, array_form, norm_of, replaces, select, square_root
 from ..arrays.selection import divided
 
-Point = Any  # a triple of arrays (*batch), m
+Point = Any  # a tuple of d arrays (*batch), m
 
 
 class World(NamedTuple):
@@ -42,6 +42,17 @@ class World(NamedTuple):
     present: Array  # (M, *batch), bool
     shapes: Array  # (M, width, *batch), see ``obstacles.shape``
     skins: Array  # (M, *batch), m
+    edges: Any = None  # ``Edges`` of polygons, see ``Shapes.with_edges``
+
+
+class Edges(NamedTuple):
+    """Edges of polygons in order, (P, K, *batch): see ``polygon._edge``."""
+
+    x: Array
+    y: Array
+    ex: Array
+    ey: Array
+    length: Array
 
 
 class Tolerances(NamedTuple):
@@ -63,8 +74,8 @@ COARSE = Tolerances(1e-4, -1e-5, 1e-5, 1e-5, 1e-6, 1e-10)
 class _Rows:
     """Rows (M, width, *batch) as the row of a kernel: entry k is an array (M, *batch)."""
 
-    def __init__(self, rows: Array) -> None:
-        self._rows = rows
+    def __init__(self, rows: Array, edges: Edges | None) -> None:
+        self._rows, self.edges = rows, edges
 
     def __getitem__(self, k: int) -> Array:
         return self._rows[:, k]
@@ -99,23 +110,35 @@ class Shapes:
     def _ask(self, world: World, ask: Callable[..., Any]) -> Any:
         """Result of ``ask(kind, rows, corners, slots)`` for every obstacle, in order."""
         parts = [
-            ask(kind, _Rows(world.shapes[slots]), counts, slots)
+            ask(kind, _Rows(world.shapes[slots], world.edges), counts, slots)
             for kind, slots, counts in self._groups
         ]
         if len(parts) == 1:
             return parts[0]
         return jax.tree.map(lambda *each: jnp.concatenate(each)[self._order], *parts)
 
+    def with_edges(self, world: World) -> World:
+        """A world with the edges of its polygons, which all equations of polygons need."""
+        for kind, slots, counts in self._groups:
+            if kind.kind == POLYGONS.kind:
+                rows = _Rows(world.shapes[slots], None)
+                return world._replace(edges=_edges_of(rows, counts))
+        return world
+
+    def _triple(self, point: Point) -> Any:
+        """A point as kernels take it; z is a constant in 2-D."""
+        return (*point, 0.0)[:3]
+
     def _filled(self, world: World, value: Any, slots: Any, point: Point) -> Any:
         shape = (len(slots), *np.broadcast_shapes(world.present.shape[1:], point[0].shape))
         return jax.tree.map(lambda one: jnp.broadcast_to(one, shape), value)
 
     def surface(self, world: World, point: Point) -> tuple[Array, Any]:
-        """Signed distances (M, *batch), m, inf for absent slots, and unit normals, a triple."""
+        """Signed distances (M, *batch), m, inf for absent slots, and unit normals, a tuple."""
 
         def ask(kind: Any, rows: Any, corners: Any, slots: Any) -> Any:
-            found = array_form(kind.surface)(rows, corners, point)
-            return self._filled(world, found, slots, point)
+            found, normal = array_form(kind.surface)(rows, corners, self._triple(point))
+            return self._filled(world, (found, tuple(normal)[: self.dim]), slots, point)
 
         distance, normal = self._ask(world, ask)
         return jnp.where(world.present, distance, jnp.inf), normal
@@ -129,13 +152,14 @@ class Shapes:
 
         def ask(kind: Any, rows: Any, corners: Any, slots: Any) -> Any:
             skin = world.skins[slots] if self.has_skins else 0.0
-            found = array_form(kind.entry)(rows, corners, point, way, depth, skin)
+            path = self._triple(point), self._triple(way)
+            found = array_form(kind.entry)(rows, corners, *path, depth, skin)
             return self._filled(world, found, slots, point)
 
         return jnp.where(world.present, self._ask(world, ask), jnp.inf)
 
     def normals(self, world: World, point: Point, normal: Any) -> tuple[Any, Any]:
-        """Two unit normals of each obstacle at a touching point, triples (M, *batch).
+        """Two unit normals of each obstacle at a touching point, tuples (M, *batch).
 
         ``normal`` is that of ``surface``.
         """
@@ -156,7 +180,7 @@ class Shapes:
 
     def within(self, world: World, point: Point, reach: Any) -> Array:
         """True where the bounding balls with skins are nearer than ``reach``, m, (M, *batch)."""
-        square: Any = sum((point[k] - world.shapes[:, MIDDLE + k]) ** 2 for k in range(3))
+        square: Any = sum((point[k] - world.shapes[:, MIDDLE + k]) ** 2 for k in range(self.dim))
         bound = world.shapes[:, BOUND] + world.skins + reach
         return world.present & (square <= bound * bound)
 
@@ -170,20 +194,20 @@ class Shapes:
         return jnp.any(entries <= 1.0, axis=0)
 
     def silhouettes(self, world: World, point: Point, net_bearing: Any, axes: Any) -> list[Any]:
-        """Unit bearings of the edge points of each obstacle, 2 or 8 triples (M, *batch).
+        """Unit bearings of the edge points of each obstacle, 2 or 8 tuples (M, *batch).
 
         In 3-D ``net_bearing``, m/s, and the robot's x and y axis define the azimuths.
         """
 
         def ask(kind: Any, rows: Any, corners: Any, slots: Any) -> Any:
             if self.dim == 2:
-                found = list(array_form(kind.edges)(rows, corners, point))
+                found = list(array_form(kind.edges)(rows, corners, self._triple(point)))
             else:
                 towards = array_form(centre_direction)(point, array_form(centre_of_row)(rows))
                 e, w = array_form(azimuth_axes)(towards, net_bearing, *axes)
                 found = [[None] * 3 for _ in range(8)]
                 array_form(kind.cone)(rows, corners, point, (towards, e, w), found)
-            return [self._filled(world, tuple(one), slots, point) for one in found]
+            return [self._filled(world, tuple(one)[: self.dim], slots, point) for one in found]
 
         made: list[Any] = self._ask(world, ask)
         return made
@@ -226,28 +250,21 @@ def _capsule_cone(rows: Any, corners: Any, point: Any, axes: Any, out: Any) -> N
         out[k][:] = ray_at(hits)
 
 
-class _Edges(NamedTuple):
-    """Edges of polygons, (M, K, *batch): see ``polygon._edge``."""
-
-    exist: Any
-    x: Any
-    y: Any
-    ex: Any
-    ey: Any
-    length: Any
-
-
-def _edges_of(rows: Any, corners: Any) -> _Edges:
+def _edges_of(rows: Any, corners: Any) -> Edges:
     """Edges of polygons in order; those beyond the corners of a polygon do not exist."""
-    most, ndim = int(np.max(corners)), np.ndim(rows[OWN])
-    counts = np.asarray(corners)[:, None]
-    exist = (np.arange(most) < counts).reshape(*counts.shape[:1], most, *[1] * (ndim - 1))
-    following = np.where(np.arange(most) + 1 < counts, np.arange(most) + 1, 0)
-    chosen = np.arange(len(counts))[:, None], following
+    most = int(np.max(corners))
+    following = np.arange(1, most + 1) % np.asarray(corners)[:, None]
+    chosen = np.arange(len(corners))[:, None], following
     x, y = (jnp.stack([rows[OWN + 2 * k + axis] for k in range(most)], axis=1) for axis in (0, 1))
     dx, dy = x[chosen] - x, y[chosen] - y
     length = square_root(dx * dx + dy * dy)
-    return _Edges(exist, x, y, divided(dx, length), divided(dy, length), length)
+    return Edges(x, y, divided(dx, length), divided(dy, length), length)
+
+
+def _exist(edges: Edges, corners: Any) -> Any:
+    """Whether edges exist, (P, K, 1, …)."""
+    counts, most = np.asarray(corners)[:, None], edges.x.shape[1]
+    return (np.arange(most) < counts).reshape(len(counts), most, *[1] * (edges.x.ndim - 2))
 
 
 def _at(first: Any, values: Any) -> Any:
@@ -259,7 +276,7 @@ def _at(first: Any, values: Any) -> Any:
 
 @replaces(POLYGONS.surface)
 def _polygon_surface(rows: Any, corners: Any, point: Any) -> Any:
-    exist, x, y, ex, ey, length = _edges_of(rows, corners)
+    (x, y, ex, ey, length), exist = rows.edges, _exist(rows.edges, corners)
     dx, dy = point[0] - x, point[1] - y
     along, height = dx * ex + dy * ey, dx * ey - dy * ex
     beside = exist & (height > 0.0) & (along >= 0.0) & (along <= length)
@@ -278,19 +295,18 @@ def _polygon_surface(rows: Any, corners: Any, point: Any) -> Any:
     outward = tuple(divided(part, to_vertex) for part in vertex)
     normal = select(has_direction, outward, normal)
     distance = jnp.where(is_beside, level, jnp.where(inside, highest, to_vertex))
-    return distance, (*normal, jnp.zeros_like(distance))
+    return distance, (*normal, 0.0)
 
 
 def _polygon_normals(rows: Any, corners: Any, point: Any, normal: Any, tolerance: float) -> Any:
     """``polygon._normals`` of a point with this ``surface`` normal, with a tolerance, m."""
-    exist, x, y, ex, ey, _ = _edges_of(rows, corners)
+    (x, y, ex, ey, _), exist = rows.edges, _exist(rows.edges, corners)
     ahead = exist & ((point[0] - x) * ey - (point[1] - y) * ex > -tolerance)
     after = jnp.cumsum(ahead[:, ::-1], axis=1)[:, ::-1]  # of the last ones
     found = []
     for count in (2, 1):
         mine = ahead & (after == count)
         edge = tuple(jnp.sum(jnp.where(mine, part, 0.0), axis=1) for part in (ey, -ex))
-        edge = (*edge, jnp.zeros_like(edge[0]))
         found.append(select(jnp.any(mine, axis=1), edge, normal))
     return tuple(found)
 
@@ -299,7 +315,7 @@ def _polygon_normals(rows: Any, corners: Any, point: Any, normal: Any, tolerance
 def _polygon_entry(
     rows: Any, corners: Any, point: Any, way: Any, depth: Any, skin: Any = 0.0
 ) -> Any:
-    exist, x, y, ex, ey, _ = _edges_of(rows, corners)
+    (x, y, ex, ey, _), exist = rows.edges, _exist(rows.edges, corners)
     fatter = jnp.maximum(0.0, -depth)
     height = (point[0] - x) * ey - (point[1] - y) * ex
     rate = way[0] * ey - way[1] * ex
@@ -321,7 +337,7 @@ def _polygon_entry(
 @replaces(polygon._nears)
 def _nears(rows: Any, corners: Any, point: Any, way: Any, reach: Any) -> Any:
     distance, _ = _polygon_surface(rows, corners, point)
-    exist, x, y, ex, ey, length = _edges_of(rows, corners)
+    (x, y, ex, ey, length), exist = rows.edges, _exist(rows.edges, corners)
     half = 0.5 * length * ex, 0.5 * length * ey, jnp.zeros_like(length)
     offset = point[0] - x - half[0], point[1] - y - half[1], point[2] + half[2]
     crossing = array_form(capsule_crossing)(offset, way, half, reach[:, None])
@@ -342,7 +358,4 @@ def _polygon_edges(rows: Any, corners: Any, point: Any) -> Any:
         further_right = there & ~is_left & (right[0] * y - right[1] * x < 0.0)
         left = select(further_left, (x, y), left)
         right = select(further_right, (x, y), right)
-    return tuple(
-        (*(divided(part, norm_of(side)) for part in side), jnp.zeros_like(side[0]))
-        for side in (left, right)
-    )
+    return tuple((*(divided(part, norm_of(side)) for part in side), 0.0) for side in (left, right))
