@@ -102,7 +102,7 @@ def test_mixed_models_batch_equals_singles(case):
             np.testing.assert_array_equal(one[name], other[name])
 
 
-@pytest.mark.parametrize("case", ["plane", "space"])
+@pytest.mark.parametrize("case", ["plane", slow("space")])
 def test_mixed_models_frames_of_all_robots_are_drawn(case):
     sim = rv.Simulator(team(case, obstacles=(), start_positions=None), 300)
     sim.reset(0)
@@ -175,7 +175,7 @@ def test_mixed_models_agents_have_spaces_of_their_own():
         env.step({name: own[name] for name in env.agents[:3]})
 
 
-@EVERY
+@IN_PLANE
 def test_mixed_models_in_gymnasium_and_vector_environments(case):
     scenario = team(case, obstacles=())
     one = gymnasium.make("rendezvous/Rendezvous-v0", scenario=scenario)
@@ -188,7 +188,7 @@ def test_mixed_models_in_gymnasium_and_vector_environments(case):
     np.testing.assert_array_equal(seen[0], seen[1][0])
 
 
-@EVERY
+@IN_PLANE
 def test_mixed_models_in_training_environments_by_name(case):
     scenario = team(case, obstacles=(), on_merge="follow")
     settings = {"guarantee": None, "learning_preset": False, "flatten": False}
@@ -236,7 +236,7 @@ def test_mixed_models_meet_under_the_law_of_each_robot(case):
     assert rv.rollout(scenario, law, num_envs=20).success.mean() > 0.9
 
 
-@EVERY
+@IN_PLANE
 def test_mixed_models_state_and_files_are_complete(case, tmp_path):
     scenario = team(case)
     scenario.to_toml(tmp_path / "own.toml")
