@@ -5,22 +5,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rendezvous_env.jax.arrays.array_form import Array, angle_of, square_root
+from rendezvous_env.jax.arrays.array_form import Array, angle_of, select, square_root
+from rendezvous_env.jax.arrays.selection import divided
 
 __all__ = [
-    "Array", "angle_of", "length_of", "parts_of", "quotient", "select", "square_root", "where",
+    "Array", "angle_of", "divided", "length_of", "parts_of", "select", "square_root", "where",
 ]  # fmt: skip
-
-
-def quotient(a: Any, b: Any) -> Array:
-    """a/b, and 0 with a derivative of 0 where b is 0."""
-    some = b != 0.0
-    return jnp.where(some, a / jnp.where(some, b, 1.0), 0.0)
-
-
-def select(condition: Array, a: Any, b: Any) -> tuple[Array, ...]:
-    """The first of two tuples where a condition holds, else the second."""
-    return tuple(jnp.where(condition, p, q) for p, q in zip(a, b, strict=True))
 
 
 def where(mask: Array, new: Any, old: Any) -> Any:

@@ -15,7 +15,7 @@ from rendezvous_env.safety.turning import Robot
 from ..learned import feature_kernels as kernels
 from ..learned.feature_kernels import _turn, _turn_rate
 from ..learned.features import FeatureLayout
-from .arrays import Array, length_of, parts_of, quotient, where
+from .arrays import Array, divided, length_of, parts_of, where
 from .merged_intervals import Joined, direction_of, joined_interval
 from .policy import Rows
 from .tank import account_of
@@ -92,8 +92,8 @@ def features(
     obstacles, edges = _obstacles(seen.obstacles, memory.edges, u, elapsed)
     moving, memory_after = _motion(memory, u, motion.headings, velocity, elapsed)
     joined = joined_interval(u, seen.obstacles)
-    summary = quotient(account.strength, account.degree), jnp.minimum(account.strength, 2.0)
-    context = [*summary, quotient(jnp.ones_like(weights[..., 0]), count), *moving]
+    summary = divided(account.strength, account.degree), jnp.minimum(account.strength, 2.0)
+    context = [*summary, divided(jnp.ones_like(weights[..., 0]), count), *moving]
     context += _joined(joined)
     walls = memory.walls
     if layout.tank_columns > 0:
@@ -120,7 +120,7 @@ def _along(vector: Pair, u: Pair) -> Pair:
 
 def _neighbours(rows: Array, weights: Array, u: Pair) -> Array:
     towards = tuple(part[..., None] for part in u)
-    bearing = parts_of(rows * quotient(jnp.ones_like(weights), weights)[..., None])
+    bearing = parts_of(rows * divided(jnp.ones_like(weights), weights)[..., None])
     return jnp.stack([*_along(bearing, towards), weights], axis=-1)
 
 

@@ -19,7 +19,7 @@ from ..learned.policy_settings import PolicySettings
 from ..learned.shipped import NAMES
 from ..policy import AT_PATH
 from ..steering import WITHIN
-from .arrays import Array, parts_of, quotient, where
+from .arrays import Array, divided, parts_of, where
 from .features import FeatureMemory, Motion, features, no_memory
 from .merged_intervals import direction_of, joined_headings
 from .policy import (
@@ -103,7 +103,7 @@ def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
     present = jnp.any(rows != 0.0, axis=-1, keepdims=True)
     found = jnp.where(present, _through(layers, rows), 0.0)
     count = jnp.sum(present, axis=-2).astype(rows.dtype)
-    return quotient(jnp.sum(found, axis=-2), count), jnp.max(found, axis=-2)
+    return divided(jnp.sum(found, axis=-2), count), jnp.max(found, axis=-2)
 
 
 class _Kept(NamedTuple):
