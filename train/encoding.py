@@ -34,6 +34,7 @@ _COARSE = 4
 
 _EXACT = ("times", "lyapunov", "lyapunov_before_merge", "lyapunov_after_merge", "contacts")
 _ROUNDED = ("positions", "frames", "alignment")
+_MARKS = ("active", "conditions")
 _KEPT = ("active", "observations", *_EXACT, *_ROUNDED)
 
 
@@ -82,19 +83,21 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
         points = np.concatenate([points, *ends])
     stays = ~np.isnan(recording["lyapunov_before_merge"])
     stays[::stride] = stays[-1] = True
-    recording = {name: recording[name][stays] for name in _KEPT}
+    kept = (*_KEPT, *(name for name in _MARKS[1:] if name in recording))
+    recording = {name: recording[name][stays] for name in kept}
     fields: list[list[Any]] = []
     parts: list[bytes] = []
     if offsets is not None:
         fields.append(["obstacle_offsets", "float32", [*offsets[stays].shape]])
         parts.append(offsets[stays].astype("<f4").tobytes())
-    for name, kind in (*((name, "float32") for name in _EXACT), ("active", "uint8")):
+    marks = ((name, "uint8") for name in _MARKS if name in recording)
+    for name, kind in (*((name, "float32") for name in _EXACT), *marks):
         fields.append([name, kind, [*recording[name].shape]])
         parts.append(recording[name].astype(np.dtype(kind).newbyteorder("<")).tobytes())
     rounded = {name: _rounded(recording[name]) for name in _ROUNDED}
     if dim == 2:
-        kept = rounded["positions"], rounded["frames"]
-        placed, turned = (values.astype(np.float64) * scale for values, scale in kept)
+        now = rounded["positions"], rounded["frames"]
+        placed, turned = (values.astype(np.float64) * scale for values, scale in now)
         seen = _seen(recording["observations"], placed, turned)
     else:
         seen = {"observations": _rounded(recording["observations"])}

@@ -39,6 +39,9 @@ ARRAYS = {
     "second": "(changes, links), higher robot of each link, likewise",
     "obstacles": "(M, columns), a row each, as ``rendezvous_env.obstacles.shape`` says",
     "obstacle_offsets": "(T, M, d), displacements from there, m; only where obstacles move",
+    "conditions": "(T, n), the sum of 1 for a robot that has crashed, 2 for an adversarial one, 4 "
+    "for one with a failed sensor, 8 for one that was not active in the last step; only with "
+    "asynchronous activation or failures",
 }
 """Shape and meaning of the arrays of a recording; their key in trajectories.npz is
 scenario/policy/start/name."""
@@ -48,6 +51,9 @@ Recording = dict[str, NDArray[Any]]
 Arrays are as in ``ARRAYS``. Observations are stored if they cannot be recomputed (see
 ``is_recomputable``), otherwise links.
 """
+
+_CONDITIONS = {"crashed": 1, "adversarial": 2, "blind": 4}
+_INACTIVE = 8
 
 LINKS = ("weights", "first", "second")
 """Entries of a simulator's state that merging changes; the last two are optional."""
@@ -75,9 +81,22 @@ def state_of(simulator: Simulator) -> Callable[[], Recording]:
         state = {name: getattr(simulator, name) for name in names}
         if simulator.obstacle_offsets.size:
             state["obstacle_offsets"] = simulator.obstacle_offsets
+        if found := simulator.conditions:
+            state["conditions"] = _marks(found, simulator.steps)
         return state | {"lyapunov": simulator.lyapunov()}
 
     return read
+
+
+def _marks(found: Recording, steps: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Conditions of robots in the last step, (B, n), as ``ARRAYS`` says."""
+    marks = np.zeros(next(iter(found.values())).shape, np.uint8)
+    for name, mark in _CONDITIONS.items():
+        if name in found:
+            marks |= np.uint8(mark) * found[name]
+    if "activated" in found:
+        marks |= np.uint8(_INACTIVE) * (~found["activated"] & (steps > 0)[:, None])
+    return marks
 
 
 class Recorder:
@@ -141,8 +160,9 @@ class Recorder:
             "contacts": self._contacts.copy(),
             "alignment": alignment.astype(np.float32),
         }
-        if "obstacle_offsets" in state:
-            frame["obstacle_offsets"] = state["obstacle_offsets"][team].copy()
+        for name in ("obstacle_offsets", "conditions"):
+            if name in state:
+                frame[name] = state[name][team].copy()
         if not self._exact:
             frame["observations"] = observations.copy()
         if len(self._frames) >= MAX_FRAMES:

@@ -14,6 +14,7 @@ from ..obstacles.fields import FieldRules
 from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
 from ..robots.events import draw_faults, fault_rules
+from ..scenario.scenario import Scenario
 from ..scenario.start_options import StartOptions
 from . import reset
 from .edge_tables import as_kept
@@ -32,6 +33,7 @@ class Episodes:
         links, n = fixed_links(state.scenario), state.scenario.n_robots
         self._links = None if links is None else as_kept(state.links, [links], n)
         self._obstacles = state.with_index(fixed_obstacles(state.scenario))
+        self._unturned = _unturned(state.scenario)
         self._entries: dict[Any, Callable[..., Any]] = {}
 
     def begin(
@@ -227,6 +229,7 @@ class Episodes:
         if angles is not None:
             kept = np.zeros((*angles.shape[:-1], scenario.model.memory_size(d)))
             kept[..., : angles.shape[-1]] = angles  # other memory starts at zero
+            kept[..., self._unturned, :] = 0.0
             state.give(which, memory=_for_each(kept, which))
         if frames is not None:
             flat = frames.reshape(len(frames), n, d * d)
@@ -269,6 +272,14 @@ class Episodes:
         else:
             return {}
         return as_kept(state.links, lists, n)
+
+
+def _unturned(scenario: Scenario) -> list[int]:
+    """Robots of a mixed team whose frame is the global one whatever the headings."""
+    if not scenario.mixes_models or scenario.local_frames != "global":
+        return []
+    straight = {model.name for model in scenario.models if model.n_angles == 0}
+    return [robot for robot, name in enumerate(scenario.robot_model) if name in straight]
 
 
 def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64] | None:

@@ -57,7 +57,10 @@ class MemoryLayout:
         self.fields = d + d * d + scenario.model.memory_size(d)
         """Numbers per robot: position, frame, memory."""
         self.moves = d + 1 + scenario.action_size
-        together = self.lanes * n * (8 * self.moves + 4 * d * self.rows)
+        self.direct = self.lanes == 1 and (alone or not self.packed)
+        """True if sensing writes directly to the output: one lane and ordered rows."""
+        read_again = not (self.direct and scenario.sensing.exact)
+        together = self.lanes * n * (8 * self.moves + 4 * d * self.rows * read_again)
         self.group = min(self.blocks, max(1, _NEAR_CACHE // together))
         """Number of blocks that a stage processes before the next stage."""
 
@@ -81,7 +84,7 @@ class MemoryLayout:
         numbers += (STATE * self.n_obstacles + 3 * n) if self.moving else 0
         clocked, events = not self.scenario.activation.synchronous, self.scenario.events
         size = self.scenario.action_size
-        own = 1 + clocked * (1 + size) + 4 * events.fails + size * events.drives
+        own = 1 + clocked * (1 + size) + 4 * events.fails
         return 8 * (self.blocks * lanes * numbers + self.batch * n * own)
 
 
@@ -104,7 +107,7 @@ class Scratch(NamedTuple):
     its action."""
     rows: NDArray[np.float32]
     """Observations, (group, n, rows, L·d), neighbours first; the d numbers of a lane are
-    adjacent."""
+    adjacent. Empty if sensing writes directly to the output."""
     pair: Floats  # ((d + 3)·L,), for ``sense_pairs``
     disc: Floats  # (6·L,), for ``sense_discs``
     keys: NDArray[np.uint64]  # (2, L), for ``apply_noise``
@@ -133,7 +136,7 @@ def scratch(place: MemoryLayout) -> Scratch:
         near = world_of(table, place.only_balls)
     return Scratch(
         aligned(place.group, n, place.moves * lanes),
-        aligned(place.group, n, place.rows, lanes * d, kind=np.float32),
+        aligned(0 if place.direct else place.group, n, place.rows, lanes * d, kind=np.float32),
         aligned((d + 3) * lanes),
         aligned(6 * lanes),
         aligned(2, lanes, kind=np.uint64),

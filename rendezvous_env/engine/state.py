@@ -98,9 +98,6 @@ class State:
         events = self.scenario.events
         self.faults = np.full((place.batch, 4, n if events.fails else 0), NEVER)
         """Steps of failures, see ``robots.events``; none if nothing fails."""
-        size = self.scenario.action_size * events.drives
-        self.executed = np.zeros((place.batch, n, size), np.float32)
-        """Commands after failures and disturbances; none without them."""
         opposed = bounded or "adversary" in events.kinds
         self.nets = aligned(place.blocks * opposed, n, self.lanes * d, kind=np.float32)
         """f_i of every robot, see ``stages.commands.sum_bearings``; none without adversaries."""

@@ -120,12 +120,13 @@ class StepStages:
         self._plans: dict[Any, list[tuple[Call, Any]]] = {}
         place = state.place
         self._took_part = np.zeros(state.merged_into.shape, np.bool_)
+        self._taken = np.zeros((0, *state.merged_into.shape[1:], len(robot.inputs)), np.float32)
+        """Actions of no environment, for stages after one that has written those of ``moves``."""
         self._has_obstacles = state.obstacles.kinds.shape[1] > 0
         self._has_contacts = constants.contact_mode != IGNORE and self._has_obstacles
         self._reach = reaches(constants, self._has_contacts)
         self._dense = state.links.form == DENSE
-        # with one lane and ordered rows, sensing writes directly to the output
-        self._direct = place.lanes == 1 and not (self._dense and place.packed)
+        self._direct = place.direct
 
     def any_near(self) -> bool:
         """True if a contact is possible in the next step, see ``is_near``."""
@@ -213,7 +214,7 @@ class StepStages:
             actions = state.commands
         if self._events is not None and self._drives:
             yield self._disturb_commands(self._events, first, last, work, actions)
-            actions = state.executed
+            actions = self._taken
         yield propose_motion, width, robot, first, last, self._reach, *now, actions
         if self._traffic is not None:
             yield self._move_obstacles(first, last, self._traffic, work)
@@ -270,8 +271,8 @@ class StepStages:
     ) -> tuple[Any, ...]:
         state, width = self._state, self._state.place.width
         streams, now = (state.seed, state.number), (state.robots, state.merged_into)
-        given = events, streams, *now, state.environments, state.nets, state.faults, state.executed
-        memory = work.keys, work.words.reshape(-1, width.lanes), work.pair, work.moves[0]
+        given = events, streams, *now, state.environments, state.nets, state.faults
+        memory = work.keys, work.words.reshape(-1, width.lanes), work.pair, work.moves
         return disturb_commands, width, self._robot, first, last, *given, *memory, commands
 
     def _move_obstacles(self, first: int, last: int, traffic: Traffic, work: Scratch) -> Any:

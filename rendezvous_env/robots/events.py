@@ -220,6 +220,7 @@ class EventRules(NamedTuple):
     """Constants of disturbances for kernels."""
 
     fails: bool
+    crashes: bool  # whether robots may crash
     opposes: bool  # whether robots may be adversarial
     draws: bool  # whether commands change by chance
     slip: float
@@ -246,6 +247,7 @@ def rules_of(scenario: Any) -> EventRules:
     drifts = np.broadcast_to(np.asarray(events.compass_drift) * tau, scenario.n_robots)
     return EventRules(
         fails=events.fails,
+        crashes="crash" in events.kinds,
         opposes="adversary" in events.kinds,
         draws=events.slip + events.disturbance + events.disturbance_noise > 0.0,
         slip=events.slip,

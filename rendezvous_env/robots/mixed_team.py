@@ -29,6 +29,7 @@ from .motion import (
     frame_turns,
     init_memory,
     is_number,
+    keeps_memory,
     period,
     propose,
     proprioception,
@@ -40,7 +41,7 @@ from .unicycle import body_frame_2d
 
 MAX_MEMBERS = 3
 """Largest number of different robot models in a team."""
-_OWN_COLUMNS = 4  # of the table of constants, ahead of those of a robot's member
+_OWN_COLUMNS = 5  # of the table of constants, ahead of those of a robot's member
 _Places = tuple[tuple[int, ...], ...]
 
 
@@ -51,6 +52,7 @@ class MixedTeam(NamedTuple):
     speed_limit: float  # of the robot, m/s
     member: float  # index of its model among the members
     in_global_frame: float  # 1 if frames without angles are the global one, else 0
+    is_steady: float  # 1 if no step changes its memory and frame, else 0
     members: tuple[Any, ...]  # constants of each model
     inputs: _Places  # of each model, its components of an action
     kept: _Places  # of each model, its entries of the memory
@@ -64,7 +66,7 @@ def _turns(model):
     """True if the frame of robots of this model may turn."""
 
 
-@kernel
+@kernel(inline="code")
 def _part(values, places):
     """Entries of a tuple, at most five."""
     if len(places) == 0:
@@ -81,7 +83,7 @@ def _part(values, places):
     return (*first, values[places[3]], values[places[4]])
 
 
-@kernel
+@kernel(inline="code")
 def _entry(memory, places, values, k):
     for m in range(len(places)):
         if places[m] == k:
@@ -89,7 +91,7 @@ def _entry(memory, places, values, k):
     return memory[k]
 
 
-@kernel
+@kernel(inline="code")
 def _replaced(memory, places, values):
     """Memory, of at most five numbers, with other values at some places."""
     if len(places) == 0:
@@ -109,7 +111,7 @@ def _replaced(memory, places, values):
     return first, second, third, fourth, _entry(memory, places, values, 4)
 
 
-@kernel
+@kernel(inline="code")
 def _members_of_robot(members, table, i):
     """Constants of robot i for each model; those of other models than its own have no meaning."""
     first, second = members[0], members[1]
@@ -119,7 +121,7 @@ def _members_of_robot(members, table, i):
     return one, two, constants_of_robot(members[2], table, i)
 
 
-@kernel
+@kernel(inline="code")
 def _of_robot(model, table, i):
     """Constants of robot i, from row i of the table of ``mixed_limits``."""
     return MixedTeam(
@@ -127,6 +129,7 @@ def _of_robot(model, table, i):
         table[i, 1],
         table[i, 2],
         table[i, 3],
+        table[i, 4],
         _members_of_robot(model.members, table[:, _OWN_COLUMNS:], i),
         model.inputs,
         model.kept,
@@ -143,7 +146,7 @@ def _by_member(equation: Any) -> Any:
     the other arguments, which begins with the constants of the robot.
     """
 
-    @kernel
+    @kernel(inline="code")
     def chosen(members, inputs, kept, given):
         member = int(given[0].member)
         if member == 0:
@@ -156,31 +159,31 @@ def _by_member(equation: Any) -> Any:
     return chosen
 
 
-@kernel
+@kernel(inline="code")
 def _propose_as(member, inputs, kept, given):
     _, action, frame, memory = given
     return propose(member, _part(action, inputs), frame, _part(memory, kept))
 
 
-@kernel
+@kernel(inline="code")
 def _displacement_as(member, inputs, kept, given):
     _, action, frame, memory, time = given
     return displacement_at(member, _part(action, inputs), frame, _part(memory, kept), time)
 
 
-@kernel
+@kernel(inline="code")
 def _chord_error_bound_as(member, inputs, kept, given):
     _, action, memory = given
     return chord_error_bound(member, _part(action, inputs), _part(memory, kept))
 
 
-@kernel
+@kernel(inline="code")
 def _period_as(member, inputs, kept, given):
     _, action, memory = given
     return period(member, _part(action, inputs), _part(memory, kept))
 
 
-@kernel
+@kernel(inline="code")
 def _update_as(member, inputs, kept, given):
     _, action, frame, memory, displacement, contact = given
     own = _part(memory, kept)
@@ -188,7 +191,7 @@ def _update_as(member, inputs, kept, given):
     return _replaced(memory, kept, after)
 
 
-@kernel
+@kernel(inline="code")
 def _frame_as(member, inputs, kept, given):
     model, frame, memory = given
     if _turns(member):
@@ -196,7 +199,7 @@ def _frame_as(member, inputs, kept, given):
     return _frame_at(frame, _part(memory, model.angles))
 
 
-@kernel
+@kernel(inline="code")
 def _frame_at(frame, angles):
     """Frame of a robot without angles of its own, by those of the team; as it is without any."""
     if len(angles) == 0:
@@ -206,20 +209,20 @@ def _frame_at(frame, angles):
     return body_frame_3d(angles[0], angles[1])
 
 
-@kernel
+@kernel(inline="code")
 def _sense_as(member, inputs, kept, given):
     model, frame, memory = given
     return _or_else(proprioception(member, frame, _part(memory, kept)), model.unsensed)
 
 
-@kernel
+@kernel(inline="code")
 def _or_else(sensed, unsensed):
     if len(sensed) == 0:
         return unsensed
     return sensed
 
 
-@kernel
+@kernel(inline="code")
 def _init_as(member, inputs, kept, given):
     model, key, counter = given
     angles = _first_angles(model.angles, model.in_global_frame, key, counter)
@@ -227,7 +230,7 @@ def _init_as(member, inputs, kept, given):
     return _replaced(turned, kept, init_memory(member, key, counter))
 
 
-@kernel
+@kernel(inline="code")
 def _first_angles(angles, in_global_frame, key, counter):
     """Uniform yaw, and a pitch for which the x axis is uniformly distributed; or zeros, rad."""
     if len(angles) == 0:
@@ -245,46 +248,51 @@ _update_by, _frame_by = _by_member(_update_as), _by_member(_frame_as)
 _sense_by, _init_by = _by_member(_sense_as), _by_member(_init_as)
 
 
-@kernel
+@kernel(inline="code")
 def _propose(model, action, frame, memory):
     given = model, action, frame, memory
     return _propose_by(model.members, model.inputs, model.kept, given)
 
 
-@kernel
+@kernel(inline="code")
 def _displacement_at(model, action, frame, memory, time):
     given = model, action, frame, memory, time
     return _displacement_by(model.members, model.inputs, model.kept, given)
 
 
-@kernel
+@kernel(inline="code")
 def _chord_error_bound(model, action, memory):
     given = model, action, memory
     return _chord_error_bound_by(model.members, model.inputs, model.kept, given)
 
 
-@kernel
+@kernel(inline="code")
 def _period(model, action, memory):
     return _period_by(model.members, model.inputs, model.kept, (model, action, memory))
 
 
-@kernel
+@kernel(inline="code")
 def _update(model, action, frame, memory, displacement, contact):
     given = model, action, frame, memory, displacement, contact
     return _update_by(model.members, model.inputs, model.kept, given)
 
 
-@kernel
+@kernel(inline="code")
 def _frame(model, frame, memory):
     return _frame_by(model.members, model.inputs, model.kept, (model, frame, memory))
 
 
-@kernel
+@kernel(inline="code")
 def _sense(model, frame, memory):
     return _sense_by(model.members, model.inputs, model.kept, (model, frame, memory))
 
 
-@kernel
+@kernel(inline="code")
+def _is_steady(model):
+    return model.is_steady > 0.0
+
+
+@kernel(inline="code")
 def _init(model, key, counter):
     return _init_by(model.members, model.inputs, model.kept, (model, key, counter))
 
@@ -302,6 +310,7 @@ describe(
         period=_period,
     ),
     of_robot=_of_robot,
+    is_steady=_is_steady,
 )
 
 
@@ -363,6 +372,7 @@ def _constants(scenario: Any) -> MixedTeam:
         speed_limit=float(scenario.speed_limit),
         member=0.0,
         in_global_frame=float(scenario.local_frames == "global"),
+        is_steady=0.0,
         members=tuple(constants_of(scenario.of_robot(_first(scenario, m))) for m in members),
         inputs=tuple(tuple(range(width)) for width in widths),
         kept=tuple(kept),
@@ -384,7 +394,8 @@ def mixed_limits(scenario: Any) -> NDArray[np.float64]:
     table = np.full((scenario.n_robots, _OWN_COLUMNS + width), math.nan)
     for robot, name in enumerate(scenario.robot_model):
         own, made = names.index(name), constants_of(scenario.of_robot(robot))
-        table[robot, :_OWN_COLUMNS] = team.duration, made.speed_limit, own, team.in_global_frame
+        frames, steady = team.in_global_frame, keeps_memory(type(made))
+        table[robot, :_OWN_COLUMNS] = team.duration, made.speed_limit, own, frames, steady
         for column, (field, value) in enumerate(zip(made._fields, made, strict=True)):
             if is_number(type(made), field):
                 table[robot, _OWN_COLUMNS + column] = value

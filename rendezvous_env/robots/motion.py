@@ -116,6 +116,8 @@ class Motion(_Equations):
 _MOTIONS: dict[type, Motion] = {}
 _OF_ROBOT: dict[type, Callable[..., Any]] = {}
 """Functions that replace ``constants_of_robot`` for some classes."""
+_IS_STEADY: dict[type, Callable[..., Any]] = {}
+"""Functions for ``is_steady`` of some classes."""
 
 
 def check_function(field: str, value: Any) -> Any:
@@ -125,10 +127,17 @@ def check_function(field: str, value: Any) -> Any:
     return value
 
 
-def describe(model: type, motion: Motion, *, of_robot: Callable[..., Any] | None = None) -> None:
+def describe(
+    model: type,
+    motion: Motion,
+    *,
+    of_robot: Callable[..., Any] | None = None,
+    is_steady: Callable[..., Any] | None = None,
+) -> None:
     """Register the equations of robots whose constants are of this type, a NamedTuple class.
 
-    ``of_robot`` replaces ``constants_of_robot`` for classes whose constants are nested.
+    ``of_robot`` replaces ``constants_of_robot`` for classes whose constants are nested, and
+    ``is_steady`` the function of that name for teams of several models.
 
     Raises:
         ValueError: if this type has other equations already, or is not a NamedTuple.
@@ -142,10 +151,13 @@ def describe(model: type, motion: Motion, *, of_robot: Callable[..., Any] | None
         raise ValueError(f"how a {model.__name__} moves has been described before")
     for name, equation in zip(Motion._fields[:-1], motion, strict=False):
         check_function(f"{name} of a {model.__name__}", equation)
-    depends_on(model, motion if of_robot is None else (*motion, of_robot))
+    own = [function for function in (of_robot, is_steady) if function is not None]
+    depends_on(model, (*motion, *own) if own else motion)
     _MOTIONS[model] = motion
     if of_robot is not None:
         _OF_ROBOT[model] = of_robot
+    if is_steady is not None:
+        _IS_STEADY[model] = is_steady
 
 
 def motion_of(model: type) -> Motion | None:
@@ -156,6 +168,16 @@ def motion_of(model: type) -> Motion | None:
 def frame_turns(model: type) -> bool:
     """True if frames of robots whose constants are of this type may rotate: ``Motion.frame``."""
     return _MOTIONS[model].frame is not _fixed
+
+
+def keeps_memory(model: type) -> bool:
+    """True if no step changes the memory and frame of robots whose constants are of this type."""
+    return _MOTIONS[model].update is _as_before and not frame_turns(model)
+
+
+@by_type("model", lambda kind: _IS_STEADY.get(kind, False))
+def is_steady(model):
+    """True if no step changes memory and frame of this robot; False if that is unknown."""
 
 
 @by_type("model", lambda kind: _MOTIONS[kind].drifts)

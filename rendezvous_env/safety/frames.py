@@ -27,13 +27,13 @@ def look_along_net_bearing(axes, robots, robot, arrays, work):
     """
     observations, frames, seen = arrays
     if len(axes) == 2:
-        size = 2 * observations.shape[1]  # numbers of a robot
+        size, wide = 2 * observations.shape[1], 2 * seen.shape[1]  # numbers of a robot
         numbers, shown = observations.reshape(-1), seen.reshape(-1)
         for first in range(robots[0], robots[1], LANES):
             stop = min(first + LANES, robots[1])
             _aim_in_plane(axes, observations, robot, frames, first, stop, work)
-            part = slice(first * size, stop * size)
-            _turn_in_plane(numbers[part], frames[first:stop], size, shown[part])
+            rows, into = numbers[first * size : stop * size], shown[first * wide : stop * wide]
+            _turn_in_plane(rows, frames[first:stop], size, into, wide)
     else:
         for i in range(robots[0], robots[1]):
             _aim_in_space(observations[i], robot, frames[i])
@@ -44,32 +44,37 @@ def look_along_net_bearing(axes, robots, robot, arrays, work):
 
 
 @inner_kernel(slp=True)
-def _turn_in_plane(numbers, frames, size, shown):
+def _turn_in_plane(numbers, frames, size, shown, wide):
     """Rows ← Fᵀ row of robots, flat, ``size`` numbers of each, in their frames (N, 2, 2).
 
-    Four rows at a time become SIMD; the last four of a robot may repeat some of its rows.
+    ``shown`` has ``wide`` numbers of each robot: one row more with a stored level. Four rows at a
+    time become SIMD; the last four of a robot may repeat some of its rows.
     """
     for i in range(len(frames)):
         x, y = load_pair(frames[i, :, 0]), load_pair(frames[i, :, 1])
         begin, last = i * size, (i + 1) * size - 8
+        skipped = np.uint64(i * (wide - size))
         if size >= 8:
             for k in range(begin, last + 8, 8):
-                _turn_four(numbers, x, y, np.uint64(min(k, last)), shown)
+                _turn_four(numbers, x, y, np.uint64(min(k, last)), shown, skipped)
         else:
             for k in range(begin, begin + size, 2):
-                at = np.uint64(k)
-                shown[at], shown[at + _1] = _turned(numbers[at], numbers[at + _1], x, y)
+                at, to = np.uint64(k), np.uint64(k) + skipped
+                shown[to], shown[to + _1] = _turned(numbers[at], numbers[at + _1], x, y)
 
 
 @inner_kernel(inline="code")
-def _turn_four(numbers, x, y, k, shown):
-    """Turn four rows from number k on; all are read before any is written."""
+def _turn_four(numbers, x, y, k, shown, skipped):
+    """Turn four rows from number k on; all are read before any is written, ``skipped`` later."""
     one = _turned(numbers[k], numbers[k + _1], x, y)
     two = _turned(numbers[k + _2], numbers[k + _3], x, y)
     three = _turned(numbers[k + _4], numbers[k + _5], x, y)
     four = _turned(numbers[k + _6], numbers[k + _7], x, y)
-    shown[k], shown[k + _1], shown[k + _2], shown[k + _3] = *one, *two
-    shown[k + _4], shown[k + _5], shown[k + _6], shown[k + _7] = *three, *four
+    to = k + skipped
+    shown[to], shown[to + _1] = one
+    shown[to + _2], shown[to + _3] = two
+    shown[to + _4], shown[to + _5] = three
+    shown[to + _6], shown[to + _7] = four
 
 
 @inner_kernel(inline="code")

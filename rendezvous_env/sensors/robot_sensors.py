@@ -40,6 +40,11 @@ setattr(as_sensing, "made", Sensing)  # noqa: B010 - as ``of_class``, for hints 
 def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
     """A field of the sensors of all robots: one value, or a list of those of ``PER_ROBOT``."""
     values = [getattr(sensor, name) for sensor in sensors]
+    if name == "view_falloff":  # an all-round view has no edge to fall off at
+        values = [
+            own or max(values) if _sees_all_round(sensor) else own
+            for own, sensor in zip(values, sensors, strict=True)
+        ]
     for robot, value in enumerate(values):
         if name in PER_ROBOT and isinstance(value, tuple):
             wanted = "one number in a list of sensors, that of its robot"
@@ -51,3 +56,8 @@ def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
                 f"{', '.join(PER_ROBOT)} only"
             )
     return values[0] if all(value == values[0] for value in values) else tuple(values)
+
+
+def _sees_all_round(sensor: Sensing) -> bool:
+    """True if the field of view of one robot has no edge."""
+    return sensor.field_of_view == Sensing().field_of_view

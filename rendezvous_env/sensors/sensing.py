@@ -148,7 +148,7 @@ class Sensing:
     1 − dropout."""
     view_falloff: _Deviation = 0.0
     """Width of the border of the field of view, rad, in which the probability of detection falls to
-    zero, linearly in the angle to the edge."""
+    zero, linearly in the angle to the edge. A robot that sees all round has no edge."""
     persistence: _Time = 0.0
     """Time constant of detection, s: a two-state Markov chain for each ordered pair. With a
     probability p of detection, robots seen are seen again after t with p + (1 − p) exp(−t/T), and
@@ -163,6 +163,10 @@ class Sensing:
     __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
+        given = {name: getattr(self, name) for name in PER_ROBOT}
+        lengths = {name: len(own) for name, own in given.items() if checks.is_sequence(own)}
+        if lengths:  # no field: a list of equal values becomes one value
+            object.__setattr__(self, "_lengths", lengths)
         field_checks.check_fields(self, "sensing.{}")
         if self.delay > 0 and self.delay_time > 0.0:
             seconds = checks.format_limit(self.delay_time)
@@ -274,10 +278,13 @@ class Sensing:
 
     def check_fits(self, n_robots: int, tau: float) -> None:
         """Reject values that do not fit the number of robots or the step tau, s."""
-        for name in self.per_robot:
-            if len(given := getattr(self, name)) != n_robots:
+        lengths: dict[str, int] = getattr(self, "_lengths", {})
+        for name, length in lengths.items():
+            if length != n_robots:
+                own = getattr(self, name)
+                given = [*own] if isinstance(own, tuple) else [own] * length
                 remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"
-                checks.raise_invalid(f"sensing.{name}", list(given), remedy)
+                checks.raise_invalid(f"sensing.{name}", given, remedy)
         if self.delay_steps(tau) > MAX_DELAY:
             most = f"at most {MAX_DELAY} steps of {checks.format_limit(tau)} s: make it shorter"
             checks.raise_invalid(

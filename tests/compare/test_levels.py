@@ -39,6 +39,7 @@ def folder(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_levels_csv_has_row_per_level(folder):
     rows = results.read_csv(folder / "levels.csv")
     assert [(row["field"], row["level"], row["policy"]) for row in rows] == [

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conftest import actions_shape, assert_same_state
+from parameters import slow
 from strategies import refusal
 from test_activation import tape
 
@@ -15,7 +16,7 @@ N = 5
 PLANE = rv.Scenario(n_robots=N, local_frames="global", max_speed=9.0)
 TAU = PLANE.tau
 SPACE = PLANE.replace(dim=3)
-BOTH = pytest.mark.parametrize("scenario", [PLANE, SPACE], ids=["plane", "space"])
+BOTH = pytest.mark.parametrize("scenario", [PLANE, slow(SPACE)], ids=["plane", "space"])
 BATCHES = pytest.mark.parametrize("batch", [2, 40])
 ALL = {
     "plane": {"n_crashed": 1, "n_blind": 2, "slip": 0.3, "compass_walk": 0.5, "disturbance": 0.2},

@@ -102,7 +102,7 @@ def test_mixed_models_batch_equals_singles(case):
             np.testing.assert_array_equal(one[name], other[name])
 
 
-@pytest.mark.parametrize("case", ["plane", "space"])
+@pytest.mark.parametrize("case", ["plane", slow("space")])
 def test_mixed_models_frames_of_all_robots_are_drawn(case):
     sim = rv.Simulator(team(case, obstacles=(), start_positions=None), 300)
     sim.reset(0)
@@ -175,7 +175,7 @@ def test_mixed_models_agents_have_spaces_of_their_own():
         env.step({name: own[name] for name in env.agents[:3]})
 
 
-@EVERY
+@IN_PLANE
 def test_mixed_models_in_gymnasium_and_vector_environments(case):
     scenario = team(case, obstacles=())
     one = gymnasium.make("rendezvous/Rendezvous-v0", scenario=scenario)
@@ -188,7 +188,7 @@ def test_mixed_models_in_gymnasium_and_vector_environments(case):
     np.testing.assert_array_equal(seen[0], seen[1][0])
 
 
-@EVERY
+@IN_PLANE
 def test_mixed_models_in_training_environments_by_name(case):
     scenario = team(case, obstacles=(), on_merge="follow")
     settings = {"guarantee": None, "learning_preset": False, "flatten": False}
@@ -236,7 +236,7 @@ def test_mixed_models_meet_under_the_law_of_each_robot(case):
     assert rv.rollout(scenario, law, num_envs=20).success.mean() > 0.9
 
 
-@EVERY
+@IN_PLANE
 def test_mixed_models_state_and_files_are_complete(case, tmp_path):
     scenario = team(case)
     scenario.to_toml(tmp_path / "own.toml")
@@ -288,3 +288,35 @@ def test_mixed_models_with_inertia_or_rails_have_no_certificate_and_no_filter(ca
         rv.vector.HeadingVectorWrapper(rv.make_vec(scenario, num_envs=2))
     with pytest.raises(ValueError, match=r"events.disturbance is 0.1; .* robot_model=\('"):
         scenario.replace(events=rv.Events(disturbance=0.1))
+
+
+@pytest.mark.parametrize("given", ["scenario", "options"])
+def test_global_frames_of_single_integrators_ignore_headings(given):
+    models = ["unicycle", "single_integrator", "single_integrator"]
+    headings = [[0.5], [1.0], [-2.0]]
+    scenario = rv.Scenario(n_robots=3, robot_model=models, local_frames="global")
+    options = {"headings": headings} if given == "options" else None
+    if given == "scenario":
+        scenario = scenario.replace(start_headings=headings)
+    sim = rv.Simulator(scenario, 2)
+    sim.reset(0, options)
+    np.testing.assert_array_equal(sim.frames[:, 1:], np.broadcast_to(np.eye(2), (2, 2, 2, 2)))
+    np.testing.assert_allclose(sim.frames[:, 0, :, 0], [[math.cos(0.5), math.sin(0.5)]] * 2)
+    before, velocity = sim.positions, np.tile(np.float32([0.25, 0.125]), (2, 3, 1))
+    sim.step(velocity)
+    moved = (sim.positions - before)[:, 1:] / scenario.tau
+    np.testing.assert_allclose(moved, velocity[:, 1:], atol=1e-12)
+    turned = rv.Simulator(scenario.replace(local_frames="random", start_headings=headings), 1)
+    turned.reset(0)
+    np.testing.assert_allclose(turned.frames[0, 1, :, 0], [math.cos(1.0), math.sin(1.0)])
+
+
+def test_frames_of_single_integrators_stay_beside_unicycles():
+    scenario = rv.Scenario(n_robots=3, robot_model=["unicycle", *["single_integrator"] * 2])
+    sim = rv.Simulator(scenario.replace(spawn_size=40.0), 40)
+    sim.reset(0)
+    before = sim.frames
+    for _ in range(3):
+        sim.step(np.full((40, 3, 2), 0.5, np.float32))
+    np.testing.assert_array_equal(sim.frames[:, 1:], before[:, 1:])
+    assert (sim.frames[:, 0] != before[:, 0]).any(axis=(1, 2)).all()

@@ -138,7 +138,7 @@ def test_contact_equals_an_independent_integrator(name, seed):
 
 
 @pytest.mark.kernels
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", marked(SHAPES, slow=["triangle", "bar"]))
 @pytest.mark.parametrize("speed", [0.5, 40.0, 1e6])
 def test_push_lets_nothing_through_at_any_speed(name, speed):
     sim = resting(scenario([rv.Moving(SHAPES[name], velocity=(speed, 0.0))]), 200)

@@ -107,6 +107,13 @@ def test_sensors_given_one_by_one_are_fields_of_one_sensor():
     assert PLANE.replace(sensing=tables) == scenario
 
 
+def test_sensors_that_see_all_round_need_no_view_falloff():
+    cameras = [rv.Sensing(field_of_view=view, view_falloff=0.4) for view in (2.0, 3.0)]
+    scenario = WALLED.replace(sensing=[rv.Sensing(), *cameras, rv.Sensing(), rv.Sensing()])
+    views = [2.0 * math.pi, 2.0, 3.0, 2.0 * math.pi, 2.0 * math.pi]
+    assert scenario.sensing == rv.Sensing(field_of_view=views, view_falloff=0.4)
+
+
 def test_sensors_survive_plain_data_and_toml(tmp_path):
     scenario = PLANE.replace(sensing=rv.Sensing(**SENSORS, view_falloff=0.2))
     assert rv.Scenario.from_plain(scenario.to_plain()) == scenario
@@ -132,6 +139,8 @@ def test_sensors_that_are_equal_are_one():
     ("given", "message"),
     [
         ({"range": [1.0, 2.0]}, r"sensing.range is \[1.0, 2.0\]; it must be 5 numbers"),
+        ({"noise": [0.1, 0.1]}, r"sensing.noise is \[0.1, 0.1\]; it must be 5 numbers"),
+        ({"range": [None] * 4}, r"sensing.range is \[None, .*\]; it must be 5 numbers"),
         ({"dropout": [0.1, 0.2]}, "sensing.dropout is .*5 numbers, one for each robot"),
         ({"min_range": [0.0, -1.0]}, r"sensing.min_range\[1\] is -1.0; it must be a finite"),
         ({"field_of_view": [1.0, 7.0]}, r"sensing.field_of_view\[1\] is 7.0; it must be a pos"),
@@ -152,6 +161,10 @@ def test_sensors_are_refused_by_field_value_and_remedy(given, message):
         ([{"delay": 1}] + [{}] * 4, r"sensing\[1\].delay is 0; it must be 1 as that of robot 0"),
         ([{"noise": [0.1, 0.2]}] * 5, r"sensing\[0\].noise is \[0.1, 0.2\]; it must be one num"),
         ([{}, {"range": -1.0}, {}, {}, {}], r"sensing\[1\].range is -1.0"),
+        (
+            [{"field_of_view": 2.0, "view_falloff": 0.1}] + [{"field_of_view": 2.0}] * 4,
+            r"sensing\[1\].view_falloff is 0.0; it must be 0.1 as that of robot 0",
+        ),
         ([1] * 5, r"sensing\[0\] is 1; it must be a Sensing"),
         ([{"noise": 0.1}] * 3, "sensing is .*; it must be 5 entries, one for each robot"),
     ],

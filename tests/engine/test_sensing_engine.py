@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import UNEQUAL, actions_shape, started
 from geometry import along, triple, world
+from parameters import slow
 from scipy import stats
 
 import rendezvous_env as rv
@@ -36,7 +37,7 @@ SPACE = PLANE.replace(
 WALLED = PLANE.replace(obstacles=SHAPES, spawn_size=5.0, obstacle_range=6.0, merge_radius=0.3)
 RING = rv.Scenario(n_robots=6, graph="cycle")
 OTHERS = ~np.eye(5, dtype=bool)
-BOTH = pytest.mark.parametrize("scenario", [PLANE, SPACE], ids=["plane", "space"])
+BOTH = pytest.mark.parametrize("scenario", [PLANE, slow(SPACE)], ids=["plane", "space"])
 WORST = rv.Sensing(
     range=6.0, field_of_view=5.0, noise=0.1, bias=0.2, error=0.15, dropout=0.2, delay=3,
     sectors=720, occlusion="both",

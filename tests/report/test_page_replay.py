@@ -10,6 +10,8 @@ from browsing import (
     chosen,
     clock,
     picture,
+    pixels,
+    place_of,
     reloaded,
     scrub,
     shown_rows,
@@ -19,6 +21,8 @@ from browsing import (
 )
 from conftest import needs_browser
 
+import rendezvous_env as rv
+from rendezvous_env import baselines
 from train.compare import compare
 from train.report import build as report
 
@@ -265,6 +269,60 @@ def test_packed_team_counts_as_met(browser, tmp_path):
         page.keyboard.press("End")
         state = page.locator(".state").first.text_content()
         assert state.startswith("met at ") and "4 of 4 robots left" in state
+
+
+@pytest.mark.slow
+def test_replay_shows_conditions_of_robots(browser, tmp_path):
+    scenario = rv.Scenario(
+        n_robots=5,
+        graph=rv.graphs.complete(0.4),
+        start_positions=((-3, -3), (-3, 3), (3, 3), (3, -3), (0.5, 0.0)),
+        activation={"kind": "periodic", "period": [1, 1, 1, 4, 1], "phase": [0, 0, 0, 0, 0]},
+        events={
+            "crashes": [[0, 0.5]],
+            "adversaries": [[1, 1.0]],
+            "sensor_failures": [[2, 0.25, 1e3]],
+        },
+        time_limit=3.0,
+        time_step=0.1,
+        allow_long_step=True,
+    )
+    played = rv.rollout(scenario, baselines.make("bearing-only", scenario))
+    path = played.to_report(tmp_path / "replay.html")
+    wanted = sum(
+        mark * played.conditions[name][1:, 0].astype(int)
+        for name, mark in {"crashed": 1, "adversarial": 2, "blind": 4}.items()
+    )
+    wanted += 8 * ~played.conditions["activated"][1:, 0]
+    with visited(browser, path.as_uri()) as page:
+        page.click("#robots button:nth-child(5)")  # the frame of the selected robot is drawn
+        said = page.locator(".state").first
+        assert "crashed" not in said.text_content() and "inactive" not in said.text_content()
+        before = pixels(page)
+        page.keyboard.press("End")
+        marks = wanted[-1]
+        texts = "crashed", "adversarial", "blind", "inactive"
+        for mark, text in zip((1, 2, 4, 8), texts, strict=True):
+            count = int(((marks & mark) > 0).sum())
+            assert (f"{count} {text}" in said.text_content()) == (count > 0)
+        arms = [
+            corners_in_ink(image, place)
+            for image, place in (
+                (before, place_of(page, played.positions[0, 0, 0])),
+                (pixels(page), place_of(page, played.positions[-1, 0, 0])),
+            )
+        ]
+        assert arms == [0, 4]
+
+
+def corners_in_ink(image, place):
+    """Number of corners of a square around a place that have the colour of the text."""
+    column, row = map(round, place)
+    around = image[row - 13 : row + 14, column - 13 : column + 14]
+    ink = abs(around - (27, 31, 36)).max(axis=2) < 8
+    return sum(
+        bool(part.any()) for half in (ink[:5], ink[-5:]) for part in (half[:, :5], half[:, -5:])
+    )
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.links import LinkKeeping
 from rendezvous_env.safety.safety_filter import SafetyFilter
+from rendezvous_env.safety.settings import TANK_MARGIN
 from rendezvous_env.safety.tank import EnergyTank
 
 CASES = [(made, kind) for made in (HeadingFilter, EnergyTank) for kind in MODELS]
@@ -48,6 +49,38 @@ def test_batch_equals_single_environments(made, kind):
             found = go_on(single, observations[own], choices[own], contact[own])
             for name, values in found.items():
                 np.testing.assert_array_equal(values[0], results[name][team])
+
+
+@pytest.mark.kernels
+@pytest.mark.parametrize("n_robots", [2, 4, 5, 8])  # rows are processed in groups of four
+def test_frames_turn_every_row(n_robots):
+    scenario = Scenario(n_robots=n_robots, spawn_size=20.0)
+    observations = Simulator(scenario, 3).reset(1)
+    f = observations.astype(np.float64).sum(axis=2)
+    x = (f / np.linalg.norm(f, axis=-1, keepdims=True))[:, :, np.newaxis]
+    y = np.stack((-x[..., 1], x[..., 0]), axis=-1)
+    turned = np.stack(((observations * x).sum(axis=-1), (observations * y).sum(axis=-1)), axis=-1)
+    shown = HeadingFilter(scenario, 3).observe(observations)
+    np.testing.assert_allclose(shown, turned, atol=1e-6)
+
+
+@pytest.mark.kernels
+@pytest.mark.parametrize("n_robots", [2, 4, 5, 8])
+def test_tank_weighs_every_row(n_robots):
+    scenario = Scenario(n_robots=n_robots, spawn_size=20.0)
+    observations = Simulator(scenario, 3).reset(1)
+    tank = EnergyTank(scenario, 3, budget=100.0, frame="local")
+    actions = tank.apply(observations, np.full((3, n_robots, 2), 0.5, np.float32))
+    tank.update()
+    f = observations.astype(np.float64).sum(axis=2)
+    degree = np.linalg.norm(observations.astype(np.float64), axis=-1).sum(axis=-1)
+    moved = scenario.tau * actions.astype(np.float64)
+    strength, r = np.linalg.norm(f, axis=-1), scenario.merge_radius
+    speed_limit = scenario.robot_bounds[:, 0].min()
+    scale = np.minimum(r / (2.0 * degree * scenario.tau), speed_limit / strength).clip(max=1.0)
+    gain = 2.0 * (f * moved).sum(axis=-1) - 2.0 / r * degree * (moved**2).sum(axis=-1)
+    gain -= TANK_MARGIN**2 * scenario.tau * scale * strength**2
+    np.testing.assert_allclose(tank.levels - 100.0, gain, atol=1e-9)
 
 
 @all_filters

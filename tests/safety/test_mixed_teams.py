@@ -88,6 +88,20 @@ def test_nonholonomic_robots_observe_their_body_frame(by):
 
 
 @pytest.mark.kernels
+@pytest.mark.parametrize("kind", ["mixed", "single_integrator"])
+@pytest.mark.parametrize("n_robots", [2, 4, 6])
+def test_rows_of_all_robots_are_shown_with_a_level_behind_them(n_robots, kind):
+    """Lengths of rows do not change, whether or not there are four rows or more."""
+    models = {"mixed": ["single_integrator", "unicycle"] * (n_robots // 2)}
+    scenario = rv.Scenario(n_robots=n_robots, robot_model=models.get(kind, kind))
+    env = wrapped("tank", scenario, budget=0.5, observe_level=True, frame="net_bearing")
+    seen, _ = env.reset(seed=0)
+    shown, sizes = np.linalg.norm(seen, axis=-1), np.linalg.norm(env._observed, axis=-1)
+    np.testing.assert_allclose(shown[..., :-1], sizes, atol=1e-6)
+    np.testing.assert_allclose(shown[..., -1], 0.5 / (scenario.merge_radius * scenario.max_degree))
+
+
+@pytest.mark.kernels
 @pytest.mark.parametrize(("by", "dim"), [("heading", 2), ("heading", 3), ("tank", 2)])
 def test_batch_equals_singles(by, dim):
     scenario, random = team(dim), np.random.default_rng(1)

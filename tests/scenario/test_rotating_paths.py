@@ -71,6 +71,7 @@ def test_small_margin_grows_at_triangle_rate(sizes):
     assert (np.diff(sizes[::60, 0]) > 0).all()
 
 
+@pytest.mark.slow
 def test_margin_above_threshold_does_not_grow(sizes):
     """The threshold is 1/√13 = 0.277."""
     assert sizes[:, 1].max() == sizes[0, 1] and sizes[-1, 1] < 0.3 * sizes[0, 1]

@@ -172,10 +172,11 @@ def sensing(n: int, size: Size | None) -> list[Case]:
 
 
 def features(n: int, size: Size) -> list[Case]:
-    """Batched steps with clocks, failures or a mixed team, relative to a scenario without them."""
+    """Batched steps with clocks, failures or other robots, relative to a scenario without them."""
     models = ["unicycle" if robot % 2 else "single_integrator" for robot in range(n)]
     speeds: dict[str, Any] = {"max_speed": [0.5 if robot % 2 else 1.0 for robot in range(n)]}
     given: dict[str, Mapping[str, Any]] = {"none": {}, **_FEATURES, "two speeds": speeds}
+    given["unicycles"] = {"robot_model": "unicycle", **speeds}
     given["mixed team"] = {"robot_model": models, **speeds}
     builds = {
         name: partial(_vector, spread_out(n, **fields), size) for name, fields in given.items()

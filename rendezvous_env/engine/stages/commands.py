@@ -40,13 +40,14 @@ from ..memory import (
     write_row,
 )
 from .apply_noise import halve
+from .propose import load_actions
 
 _ZERO, _NONE, _ALL = np.float32(0.0), np.int32(0), np.int32(-1)
-_GAIN, _KEPT, _DUE = range(3)
-"""Working memory of ``take_commands`` in every lane: f_i · Δ_i of the action and of the command in
-execution, m²/s; 1 for a robot that is activated, else 0."""
 _CRASHED, _ADVERSE = range(2)
 """Marks of a robot, 0 or 1, in the first fields of its motion, which is not yet in use."""
+_BESIDES = 3
+"""Field of the working memory of ``disturb_commands`` from which on a robot's velocity besides its
+command is, m/s; drawn velocities come first."""
 
 
 @kernel
@@ -105,7 +106,7 @@ def take_commands(
     ``clocks`` are the commands, (B, n, a); the step of each robot's last activation, (blocks, n,
     L), −1 before the first, if an adversary uses it; and whether it is active in this step, (B, n).
     ``streams`` are the seeds and episodes, (B,), and ``nets`` f_i of ``sum_bearings``. Working
-    memory: keys (2, L), work (3·L,), moves (n, (d + 1 + a)·L).
+    memory: keys (2, L), work (L,), moves (n, (d + 1 + a)·L).
     """
     lanes, n, (commands, last_step, activated) = lane_count(width), robots.shape[1], clocks
     for block in range(first, last):
@@ -116,15 +117,15 @@ def take_commands(
         for i in range(n):
             _schedule(width, rules, i, environment, keys[0], work)
             if is_adversarial(rules):
-                state, move, net = robots[block, i], moves[i], nets[block, i]
-                if not rules.stops:
-                    _load_commands(width, robot, i, start, count, commands, move)
-                    _weigh(width, robot, i, state, net, move, _KEPT, work)
-                _load_commands(width, robot, i, start, count, actions, move)
-                _weigh(width, robot, i, state, net, move, _GAIN, work)
-                _choose(width, rules, environment, last_step[block, i], work)
+                state, own = robots[block, i], (nets[block, i], last_step[block, i])
+                load_actions(width, robot, i, start, actions, moves[0])
+                if rules.stops:
+                    _choose(width, robot, rules, i, environment, state, own, True, moves, work)
+                else:
+                    load_actions(width, robot, i, start, commands, moves[1])
+                    _choose(width, robot, rules, i, environment, state, own, False, moves, work)
             for lane in range(count):
-                activated[start + lane, i] = work[_DUE * lanes + lane] > 0.0
+                activated[start + lane, i] = work[lane] > 0.0
         _leave_out(width, n, start, count, environment, merged_into, activated)
     begin, end = first * lanes, min(last * lanes, len(merged_into))
     _select(robot, rules.stops, begin, end, activated, actions, commands)
@@ -145,50 +146,45 @@ def _schedule(width, rules, i, environment, keys, work):
     lanes = lane_count(width)
     if is_random(rules):
         for lane in range(lanes):
-            work[_DUE * lanes + lane] = is_drawn(rules, keys[lane], i)
+            work[lane] = is_drawn(rules, keys[lane], i)
     elif not is_adversarial(rules):
         for lane in range(lanes):
-            work[_DUE * lanes + lane] = is_scheduled(rules, environment[STEPS * lanes + lane], i)
+            work[lane] = is_scheduled(rules, environment[STEPS * lanes + lane], i)
 
 
 @inner_kernel(inline="code")
-def _load_commands(width, robot, i, start, count, commands, move):
-    """Copy the commands of robot i, (B, n, a), to the action of its motion."""
-    lanes, d = lane_count(width), len(robot.axes)
-    for k in range(len(robot.inputs)):
-        for lane in range(count):
-            move[(d + 1 + k) * lanes + lane] = commands[start + lane, i, k]
+def _choose(width, robot, rules, i, environment, state, own, stops, moves, work):
+    """Mark the lanes in which an adversary activates robot i, or has to.
 
-
-@inner_kernel(inline="code")
-def _weigh(width, robot, i, state, net, move, field, work):
-    """f_i · Δ_i of the action of a motion, m²/s: half of the rate at which it lowers V."""
-    lanes, d = lane_count(width), len(robot.axes)
+    It compares the rates f_i · Δ_i, m²/s, at which the action and the command in execution, those
+    of ``moves``, lower V; a robot that ``stops`` has none. One that was activated in this step
+    stays so if the stage is repeated. ``own`` are its f_i and last activations.
+    """
+    lanes, (net, last_step) = lane_count(width), own
     model = constants_of_robot(robot.model, robot.limits, i)
     for lane in range(lanes):
-        frame = load_fields(state, d, lane, lanes, robot.entries)
-        action = load_fields(move, d + 1, lane, lanes, robot.inputs)
-        memory = load_fields(state, d + d * d, lane, lanes, robot.memories)
-        moved, _ = propose(model, action, frame, memory)
-        own = to_global(frame, exactly(read_row(net, lane, robot.axes)))
-        work[field * lanes + lane] = dot(moved, own)
+        frame = load_fields(state, len(robot.axes), lane, lanes, robot.entries)
+        fastest = to_global(frame, exactly(read_row(net, lane, robot.axes)))
+        gain = dot(_proposed(robot, model, frame, state, moves[0], lane, lanes), fastest)
+        kept = 0.0
+        if not stops:
+            kept = dot(_proposed(robot, model, frame, state, moves[1], lane, lanes), fastest)
+        step, before = int(environment[STEPS * lanes + lane]), last_step[lane]
+        forced = (step - before >= rules.max_wait) | (step == before)
+        due = forced | (gain < kept)
+        due &= environment[STATUS * lanes + lane] == RUNNING
+        work[lane] = 1.0 if due else 0.0
+        last_step[lane] = step if due else before
 
 
 @inner_kernel(inline="code")
-def _choose(width, rules, environment, last_step, work):
-    """Mark the lanes in which an adversary activates a robot, or has to.
-
-    A robot that was activated in this step stays so if the stage is repeated.
-    """
-    lanes = lane_count(width)
-    for lane in range(lanes):
-        step, before = int(environment[STEPS * lanes + lane]), last_step[lane]
-        forced = (step - before >= rules.max_wait) | (step == before)
-        kept = 0.0 if rules.stops else work[_KEPT * lanes + lane]
-        due = forced | (work[_GAIN * lanes + lane] < kept)
-        due &= environment[STATUS * lanes + lane] == RUNNING
-        work[_DUE * lanes + lane] = 1.0 if due else 0.0
-        last_step[lane] = step if due else before
+def _proposed(robot, model, frame, state, move, lane, lanes):
+    """Displacement Δ_i of one lane by the action of a motion, m."""
+    d = len(robot.axes)
+    action = load_fields(move, d + 1, lane, lanes, robot.inputs)
+    memory = load_fields(state, d + d * d, lane, lanes, robot.memories)
+    moved, _ = propose(model, action, frame, memory)
+    return moved
 
 
 @inner_kernel
@@ -234,56 +230,70 @@ def disturb_commands(
     environments,
     nets,
     faults,
-    executed,
     keys,
     words,
     work,
     moves,
     commands,
 ):
-    """Write the commands that are executed after failures and disturbances, both (B, n, a).
+    """Write the actions of ``moves`` after failures and disturbances, from commands, (B, n, a).
 
     ``faults`` are steps of events, (B, 4, n), ``streams`` the seeds and episodes, (B,), and
-    ``nets`` f_i of ``sum_bearings``. Working memory: keys (2, L), words (6, L), work (d·L,),
-    moves (n, (d + 1 + a)·L).
+    ``nets`` f_i of ``sum_bearings``. Working memory: keys (2, L), words (6, L), work ((d + 3)·L,).
     """
     lanes, n = lane_count(width), robots.shape[1]
     for block in range(first, last):
-        environment, start = environments[block], block * lanes
+        environment, start, moving = environments[block], block * lanes, moves[block - first]
         count = min(lanes, len(merged_into) - start)
         if rules.draws:
             _find_keys(width, start, count, ACTUATION, n * DRAWS, streams, environment, keys[0])
         if rules.fails:
-            _mark_faults(width, rules, start, count, faults, merged_into, environment, moves)
+            _mark_faults(width, rules, start, count, faults, merged_into, environment, moving)
         for i in range(n):
-            state, move = robots[block, i], moves[i]
-            _find_shares(width, robot, rules, i * DRAWS, keys[0], move)
+            state, move = robots[block, i], moving[i]
+            load_actions(width, robot, i, start, commands, move)
+            opposes = rules.opposes and _any_marked(width, _ADVERSE, move)
+            fails = rules.fails and _any_marked(width, _CRASHED, move)
+            if not (opposes or fails or rules.draws):
+                continue
+            _find_shares(width, robot, rules, i * DRAWS, keys[0], move, work)
             _disturb(width, robot, rules, i * DRAWS, keys[0], words, state, work, move)
-            if rules.opposes:
-                _oppose(width, robot, rules, nets[block, i], move)
-            _execute(width, robot, i, start, count, commands, move, executed)
+            if opposes:
+                _oppose(width, robot, rules, nets[block, i], work, move)
+            _execute(width, robot, move, work)
 
 
 @inner_kernel(inline="code")
-def _execute(width, robot, i, start, count, commands, move, executed):
-    """Write the share of its command that robot i executes, and its velocity besides."""
+def _any_marked(width, field, move):
+    """True if a mark of a robot is 1 in any lane."""
+    lanes, total = lane_count(width), 0.0
+    for lane in range(lanes):
+        total += move[field * lanes + lane]
+    return total > 0.0
+
+
+@inner_kernel(inline="code")
+def _execute(width, robot, move, work):
+    """Write the share of its command that a robot executes, and its velocity besides."""
     lanes, d = lane_count(width), len(robot.axes)
     for k in range(len(robot.inputs)):
-        for lane in range(count):
-            own = commands[start + lane, i, k] * move[d * lanes + lane]
-            executed[start + lane, i, k] = own + move[(d + 1 + k) * lanes + lane]
+        for lane in range(lanes):
+            own = move[(d + 1 + k) * lanes + lane] * move[d * lanes + lane]
+            besides = work[(_BESIDES + k) * lanes + lane] if k < d else 0.0
+            move[(d + 1 + k) * lanes + lane] = np.float32(own + besides)
 
 
 @inner_kernel(inline="code")
 def _mark_faults(width, rules, start, count, faults, merged_into, environment, moves):
     """Mark the robots that have crashed or are adversarial, which merged ones pass on."""
     lanes, n = lane_count(width), len(moves)
-    for i in range(n):
-        for lane in range(count):
-            step = int(environment[STEPS * lanes + lane])
-            moves[i, _CRASHED * lanes + lane] = faults[start + lane, CRASH, i] <= step
-            if rules.opposes:
-                moves[i, _ADVERSE * lanes + lane] = faults[start + lane, ADVERSARY, i] <= step
+    for lane in range(count):
+        step = int(environment[STEPS * lanes + lane])
+        for i in range(n):
+            crashed = rules.crashes and faults[start + lane, CRASH, i] <= step
+            moves[i, _CRASHED * lanes + lane] = 1.0 if crashed else 0.0
+        for i in range(n if rules.opposes else 0):
+            moves[i, _ADVERSE * lanes + lane] = faults[start + lane, ADVERSARY, i] <= step
     for lane in range(count):
         if environment[ACTIVE * lanes + lane] < n:
             for i in range(n):
@@ -293,15 +303,14 @@ def _mark_faults(width, rules, start, count, faults, merged_into, environment, m
 
 
 @inner_kernel(inline="code")
-def _find_shares(width, robot, rules, counter, keys, move):
+def _find_shares(width, robot, rules, counter, keys, move, work):
     """Write the share of its command that a robot executes to the place of the path length.
 
-    Slip reduces it, and it is 0 after a crash. Its velocity besides, in the place of the action, is
-    0 so far.
+    Slip reduces it, and it is 0 after a crash. Its velocity besides is 0 so far.
     """
     lanes, d = lane_count(width), len(robot.axes)
     move[d * lanes : (d + 1) * lanes] = 1.0
-    move[(d + 1) * lanes :] = 0.0
+    work[_BESIDES * lanes : (_BESIDES + d) * lanes] = 0.0
     if rules.slip > 0.0:
         for lane in range(lanes):
             move[d * lanes + lane] = 1.0 - rules.slip * uniform(keys[lane], counter)
@@ -341,12 +350,12 @@ def _add_velocity(width, robot, rules, state, work, move):
         frame = load_fields(state, d, lane, lanes, robot.entries)
         own = to_local(frame, load_fields(work, 0, lane, lanes, robot.axes))
         works = 1.0 - move[_CRASHED * lanes + lane] if rules.fails else 1.0
-        so_far = load_fields(move, d + 1, lane, lanes, robot.axes)
-        store_fields(add(so_far, works, own), move, d + 1, lane, lanes)
+        so_far = load_fields(work, _BESIDES, lane, lanes, robot.axes)
+        store_fields(add(so_far, works, own), work, _BESIDES, lane, lanes)
 
 
 @inner_kernel(inline="code")
-def _oppose(width, robot, rules, net, move):
+def _oppose(width, robot, rules, net, work, move):
     """Velocity −f_i/‖f_i‖ at full speed, instead of its command, of an adversarial robot."""
     lanes, d = lane_count(width), len(robot.axes)
     for lane in range(lanes):
@@ -355,8 +364,8 @@ def _oppose(width, robot, rules, net, move):
         own = scaled(away, -rules.speed_limit / length if length > 0.0 else 0.0)
         opposes = move[_ADVERSE * lanes + lane] * (1.0 - move[_CRASHED * lanes + lane])
         move[d * lanes + lane] *= 1.0 - opposes
-        so_far = scaled(load_fields(move, d + 1, lane, lanes, robot.axes), 1.0 - opposes)
-        store_fields(add(so_far, opposes, own), move, d + 1, lane, lanes)
+        so_far = scaled(load_fields(work, _BESIDES, lane, lanes, robot.axes), 1.0 - opposes)
+        store_fields(add(so_far, opposes, own), work, _BESIDES, lane, lanes)
 
 
 @kernel
@@ -450,23 +459,27 @@ def find_conditions(steps, merged_into, faults, crashed, adversarial, blind):
 
     ``steps`` are those of the episodes, (B,). Arrays (B, 0) are left out.
     """
-    for b in range(len(steps)):
-        step, into, rows = int(steps[b]), merged_into[b], faults[b]
+    if crashed.shape[1] > 0:
+        _mark_failed(steps, merged_into, faults, CRASH, crashed)
+    if adversarial.shape[1] > 0:
+        _mark_failed(steps, merged_into, faults, ADVERSARY, adversarial)
+    for b in range(len(steps) if blind.shape[1] > 0 else 0):
+        step = int(steps[b])
         for i in range(blind.shape[1]):
-            fails = (rows[BLIND, i] <= step) & (step < rows[SIGHTED, i])
-            blind[b, i] = fails & (into[i] == i)
-        if crashed.shape[1] > 0:
-            _pass_on(step, into, rows[CRASH], crashed[b])
-        if adversarial.shape[1] > 0:
-            _pass_on(step, into, rows[ADVERSARY], adversarial[b])
+            fails = (faults[b, BLIND, i] <= step) & (step < faults[b, SIGHTED, i])
+            blind[b, i] = fails & (merged_into[b, i] == i)
 
 
 @inner_kernel
-def _pass_on(step, into, since, failed):
-    """Mark the robots of one environment with an event before a step, which merged ones pass on."""
-    merged = 0
-    for i in range(len(into)):
-        failed[i] = (since[i] < step) & (into[i] == i)
-        merged += into[i] != i
-    for i in range(len(into) if merged > 0 else 0):
-        failed[into[i]] |= since[i] < step
+def _mark_failed(steps, merged_into, faults, event, failed):
+    """Mark the robots with an event before a step, which merged ones pass on."""
+    n = failed.shape[1]
+    for b in range(len(steps)):
+        step, merged = int(steps[b]), 0
+        for i in range(n):
+            failed[b, i] = faults[b, event, i] < step
+            merged |= merged_into[b, i] ^ i
+        for i in range(n if merged != 0 else 0):
+            failed[b, merged_into[b, i]] |= failed[b, i]
+        for i in range(n if merged != 0 else 0):
+            failed[b, i] &= merged_into[b, i] == i

@@ -11,6 +11,7 @@ from ...robots.motion import (
     STOPPED,
     constants_of_robot,
     frame_of,
+    is_steady,
     propose,
     update_memory,
 )
@@ -42,24 +43,32 @@ def propose_motion(
     The output is ``moves``, (blocks, n, (d + 1 + a)·L). Environments with possible contact (see
     ``is_near``) are marked, and wait for the exact stages. Robots of all others move.
 
-    Actions are (B, n, a); those of ended environments and of merged robots count as zero.
+    Actions are (B, n, a), or (0, n, a) if ``moves`` has them already; those of ended environments
+    and of merged robots count as zero.
     """
     lanes, d, n = lane_count(width), len(robot.axes), robots.shape[1]
     for block in range(first, last):
         start, move, environment = block * lanes, moves[block - first], environments[block]
-        given = actions[start : min(start + lanes, len(actions))]
-        count = len(given)
+        count = min(lanes, len(merged_into) - start)
         for i in range(n):
-            for k in range(len(robot.inputs)):
-                row, values = move[i], given[:, i, k]
-                for lane in range(len(values)):
-                    row[(d + 1 + k) * lanes + lane] = values[lane]
+            load_actions(width, robot, i, start, actions, move[i])
         for i in range(n):
             _propose_robot(width, robot, i, robots[block, i], move[i])
         _hold_still(width, move, count, start, environment, merged_into)
         _begin_step(width, reach, environment)
         for i in range(n):
             _advance_robot(width, d, move[i], environment, robots[block, i])
+
+
+@inner_kernel(inline="code")
+def load_actions(width, robot, i, start, actions, move):
+    """Copy the actions of robot i, (B, n, a), from environment ``start`` on to its motion."""
+    lanes, d = lane_count(width), len(robot.axes)
+    given = actions[start : min(start + lanes, len(actions))]
+    for k in range(len(robot.inputs)):
+        values = given[:, i, k]
+        for lane in range(len(values)):
+            move[(d + 1 + k) * lanes + lane] = values[lane]
 
 
 @inner_kernel(inline="code")
@@ -137,7 +146,7 @@ def update_robots(
         for i in range(robots.shape[1]):
             state, move = robots[block, i], moves[block - first, i]
             model = constants_of_robot(robot.model, robot.limits, i)
-            for lane in range(count):
+            for lane in range(0 if is_steady(model) else count):
                 if environments[block, STATUS * lanes + lane] == RUNNING:
                     frame = load_fields(state, d, lane, lanes, robot.entries)
                     after = update_memory(

@@ -170,9 +170,8 @@ def merges_everywhere(scenario: Scenario, asked: Asked) -> str:
 
 def departs_in(scenario: Scenario, *names: str) -> bool:
     """True if the sensor is exact apart from the given fields."""
-    exact = vars(Sensing())
-    fields = vars(scenario.sensing).items()
-    return all(value == exact[name] for name, value in fields if name not in names)
+    own, exact = scenario.sensing, vars(Sensing()).items()
+    return all(getattr(own, name) == value for name, value in exact if name not in names)
 
 
 def flawed_by(flaw: str, otherwise: str) -> Assumption:

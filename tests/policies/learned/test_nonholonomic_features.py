@@ -212,6 +212,7 @@ def test_truncated_arc_books_at_most_its_gain(scenario, kind, most, shares):
     assert tight > 200 or scenario.dim == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "starts", "least"),
     [

@@ -59,6 +59,7 @@ def test_search_policy_fits_unicycles_and_documents_training():
     assert SEARCH not in policies.fitting(scenarios.get("unicycle-6"), (), brief=True)
 
 
+@pytest.mark.slow
 def test_search_policy_meets():
     """As often as search-and-pursue within 150 s, in less time than a prototype's 77 s."""
     scenario = scenarios.get("utias-5").replace(time_limit=150.0)

@@ -81,13 +81,23 @@ class Pane {
     const end = rec.outcome.success === "1" ? "met" : "time out";
     this.part(".state").textContent =
       `${over ? `${end} at ${rec.times[frame].toFixed(2)} s · ` : ""}${left} of ${robots} robots left` +
-      (contacts ? ` · ${inContact(contacts)}` : "");
+      (contacts ? ` · ${inContact(contacts)}` : "") + this.failures(frame);
     const value = rec.lyapunov[frame];
     this.part(".v-now").textContent = value < 100 ? value.toPrecision(3) : value.toFixed(0);
     const chosen = rec.alignment[frame * robots + (state.chosen ?? 0)];
     this.part(".a-now").textContent =
       state.chosen === null || Number.isNaN(chosen) ? "" :
       `robot ${state.chosen}: ${chosen.toFixed(3)}`;
+  }
+
+  /** Numbers of the robots that have failed or are inactive, as text. */
+  failures(frame) {
+    const robots = [...Array(this.rec.shape.active[1]).keys()]
+      .filter((robot) => isActive(this.rec, frame, robot));
+    return Object.keys(CONDITIONS).map((condition) => {
+      const count = robots.filter((robot) => isIn(condition, this.rec, frame, robot)).length;
+      return count ? ` · ${count} ${condition}` : "";
+    }).join("");
   }
 
   save() {

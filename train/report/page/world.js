@@ -2,6 +2,7 @@
 
 const MARGIN = { left: 34, right: 10, top: 10, bottom: 24 };
 const CONTACT_S = 0.25; // how long a contact is shown
+const CONDITIONS = { crashed: 1, adversarial: 2, blind: 4, inactive: 8 };
 
 /** Box of all robots and obstacles of these recordings, [[low, high], …] for each axis, with room. */
 function boundsOf(recordings) {
@@ -71,6 +72,12 @@ function drawWorld(canvas, rec, moment, bounds, planes, k, chosen) {
 
 function isActive(rec, frame, robot) {
   return rec.active[frame * rec.shape.active[1] + robot] === 1;
+}
+
+/** True if a robot is crashed, adversarial, blind or inactive in a frame. */
+function isIn(condition, rec, frame, robot) {
+  if (!rec.conditions) return false;
+  return (rec.conditions[frame * rec.shape.conditions[1] + robot] & CONDITIONS[condition]) !== 0;
 }
 
 function drawGrid(pen, view, width, height) {
@@ -168,36 +175,45 @@ function drawTrail(pen, view, rec, moment, robot) {
   if (!lives) cross(pen, view.x(at(frame - 1, a)), view.y(at(frame - 1, b)));
 }
 
-function cross(pen, x, y) {
+function cross(pen, x, y, arm = 4) {
   pen.strokeStyle = colour("ink");
-  pen.lineWidth = 1.2;
-  line(pen, x - 4, y - 4, x + 4, y + 4);
-  line(pen, x - 4, y + 4, x + 4, y - 4);
+  pen.lineWidth = arm > 4 ? 2.5 : 1.2;
+  line(pen, x - arm, y - arm, x + arm, y + arm);
+  line(pen, x - arm, y + arm, x + arm, y - arm);
 }
 
 function drawRobot(pen, view, rec, moment, robot, chosen) {
   const here = place(rec, moment.frame, moment.share, robot);
   const [x, y] = [view.x(here[view.axes[0]]), view.y(here[view.axes[1]])];
   const radius = rec.shape.positions[1] > 10 ? 6.5 : 8;
-  pen.fillStyle = robotColour(robot);
+  const is = (condition) => isIn(condition, rec, moment.frame, robot);
+  const fill = is("inactive") ? colour("muted") : robotColour(robot);
+  if (is("crashed")) cross(pen, x, y, radius + 5);
+  pen.fillStyle = fill;
   pen.strokeStyle = colour("paper");
   pen.lineWidth = 1.5;
   if (DATA.scenarios[rec.scenario].nonholonomic) {
     pen.save();
-    pen.strokeStyle = robotColour(robot);
+    pen.strokeStyle = fill;
     pen.lineWidth = 2.5;
     const axis = [0, 1].map((k) => frameOf(rec, moment.frame, robot)[view.axes[k]][0]);
     line(pen, x, y, x + 17 * axis[0], y - 17 * axis[1]);
     pen.restore();
   }
   pen.beginPath();
-  pen.arc(x, y, radius, 0, 2 * Math.PI);
+  if (is("adversarial")) pen.rect(x - radius, y - radius, 2 * radius, 2 * radius);
+  else pen.arc(x, y, radius, 0, 2 * Math.PI);
   pen.fill();
   pen.stroke();
-  pen.fillStyle = onColour(robotColour(robot));
+  pen.fillStyle = onColour(fill);
   pen.textAlign = "center";
   pen.font = `600 ${radius + 2}px system-ui, sans-serif`;
   pen.fillText(robot, x, y + 0.36 * (radius + 2));
+  if (is("blind")) {
+    pen.setLineDash([3, 3]);
+    ring(pen, x, y, radius + 3, colour("ink"), 1.5);
+    pen.setLineDash([]);
+  }
   if (robot === chosen) ring(pen, x, y, radius + 4, colour("ink"), 2);
   if (touched(rec, moment, robot)) ring(pen, x, y, radius + 7, colour("contact"), 3);
 }
