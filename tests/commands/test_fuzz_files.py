@@ -229,7 +229,7 @@ NAMES = (
     "words.toml", "-", "--", "folder", "file", "file/x", "x.gif", "x.png", "folder/x.pdf", "None",
     "fig3", "one-team", "A", "[bold]", "%s{}",
 )  # fmt: skip
-PLAIN = {"reproduce": ["fig3"], "play": ["duo"]}
+WITHOUT_FLAGS = {"reproduce": ["fig3"], "play": ["duo"]}
 """What commands need at least."""
 COMMANDS = {name: import_module(f"train.{module}") for name, (module, _) in cli.COMMANDS.items()}
 
@@ -301,4 +301,4 @@ def test_invalid_command_lines_are_one_line(count, no_work, tmp_path, capsys, mo
     work = lay(tmp_path / "plain", odd)
     monkeypatch.chdir(work)
     for name in set(names.split()) - accepted:  # which chance drew with invalid flags only
-        assert said_by([name, *PLAIN.get(name, ())], work, capsys) == 0
+        assert said_by([name, *WITHOUT_FLAGS.get(name, ())], work, capsys) == 0

@@ -293,6 +293,7 @@ def test_available_cores_is_at_most_numba_num_threads(monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:os.fork.. was called:RuntimeWarning")  # if JAX is loaded
 def test_step_in_a_forked_child_after_a_threaded_step(monkeypatch):
     monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     sim = Simulator(five("unicycle"), 64, num_threads=2)
