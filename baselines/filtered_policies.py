@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import check_shape, raise_invalid
+from rendezvous_env.checks import raise_invalid
 from rendezvous_env.envs.guarantee import check_period, settings_of
 from rendezvous_env.field_checks import known_fields
 from rendezvous_env.safety.heading import HeadingFilter
@@ -125,13 +125,26 @@ class FilteredPolicy(DecidingPolicy):
         seen = self._as_given(self._filter.observe(teams)).copy()  # the filter keeps its own
         choices = np.asarray(self.choose(seen))
         wanted = *seen.shape[:-2], self._filter.action_size
-        check_shape("what choose gave", choices, wanted, axes="(..., n, k)")
+        if choices.shape != wanted:
+            needed = f"(..., n, k) = {wanted}, with k = {wanted[-1]} {self._meaning_of_choices()}"
+            raise ValueError(f"choose gave an array of shape {choices.shape}; it must be {needed}")
         self._filter.hold(choices.reshape(len(teams), *wanted[-2:]))
         if before is not None:
             now = self._filter.get_state()
             for name, array in now.items():
                 array[~due] = before[name][~due]
             self._filter.set_state(now)
+
+    def _meaning_of_choices(self) -> str:
+        """The k numbers of a robot's choice, for messages."""
+        rates = "turn rates in units of the maximum"
+        if isinstance(self._filter, EnergyTank):
+            return "parts of an action in units of its bounds"
+        if not isinstance(self._filter, HeadingFilter):
+            return "numbers of a robot's choice"
+        if self._filter.mixes_models:
+            return f"parts of a heading vector, or for nonholonomic robots first {rates}"
+        return rates if self._filter.turns_body else "parts of a heading vector"
 
     def _forget(self, which: Mask) -> None:
         super()._forget(which)
@@ -156,8 +169,9 @@ class HeadingPolicy(FilteredPolicy):
         scenario: the experiment.
         choose: observations (..., n, rows, d), zero for merged robots, → vectors (..., n, d) of any
             length in the same frames; for nonholonomic robots → turn rates (..., n, d − 1) in units
-            of the maximum (theory 3). Called once per ``decision_period`` for the whole batch. A
-            method ``reset(mask)`` is called with the policy's.
+            of the maximum (theory 3). In teams of both, (..., n, d): turn rates are the first
+            d − 1. Called once per ``decision_period`` for the whole batch. A method
+            ``reset(mask)`` is called with the policy's.
         decision_period: number of steps for which a vector is held.
         settings: those of ``HeadingVectorWrapper``: ``min_alignment=0.1``, ``max_turn_rate=3.0``,
             ``frame="net_bearing"``, ``certified=True``, ``bearing_error=0.0``.

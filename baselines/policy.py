@@ -306,13 +306,24 @@ is_double_integrator = of_model("double_integrator")
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:
     """Limit actions (..., n, a), or (..., a), to the scenario's bounds.
 
-    Velocities and accelerations are scaled to their limit with their direction kept; speeds and
-    turn rates of the other models are clipped one by one.
+    Velocities and accelerations are scaled to their limit with their direction kept, also in teams
+    of several models; speeds and turn rates of the other models are clipped one by one.
     """
     for_each = scenario.per_robot and actions.shape[-2:-1] == (scenario.n_robots,)
     bounds = scenario.robot_bounds if for_each else scenario.action_bounds
     if is_single_integrator(scenario) or is_double_integrator(scenario):
-        sizes = np.linalg.norm(actions, axis=-1, keepdims=True)
-        actions = actions * (np.minimum(sizes, bounds[..., :1]) / np.where(sizes > 0, sizes, 1.0))
+        actions = _shortened(actions, bounds)
+    elif for_each and scenario.mixes_models:
+        turns = scenario.nonholonomic_robots[:, np.newaxis]
+        actions = np.where(turns, actions, _shortened(actions, bounds))
     limited: Float32 = np.clip(actions, -bounds, bounds).astype(np.float32)
     return limited
+
+
+def _shortened(vectors: NDArray[np.float64], bounds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (..., a), at most as long as the first of their bounds (..., a)."""
+    sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    shortened: NDArray[np.float64] = vectors * (
+        np.minimum(sizes, bounds[..., :1]) / np.where(sizes > 0, sizes, 1.0)
+    )
+    return shortened

@@ -35,15 +35,29 @@ def _within_limits(action: NDArray[np.float64], scenario: Scenario) -> NDArray[n
 class OneRobot:
     """Single-robot interface of a policy.
 
-    ``gain`` is the default edge weight a_ij of every neighbour, m/s.
+    Args:
+        scenario: scenario of the robot.
+        policy: policy of this scenario, or of one of as many robots.
+        gain: default edge weight a_ij of every neighbour, m/s.
+        team: scenario of the policy, if it is another one.
+        robot: index of the robot among those of the policy.
     """
 
-    def __init__(self, scenario: Scenario, policy: Policy, gain: float = 1.0) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        policy: Policy,
+        gain: float = 1.0,
+        team: Scenario | None = None,
+        robot: int = 0,
+    ) -> None:
         self.scenario, self.policy = scenario, policy
-        layout = scenario.observation_layout
+        layout, team = scenario.observation_layout, team or scenario
         self._sight = RobotSight(layout, scenario.max_degree, gain)
         self._time = -1.0  # before the first tick
-        self._team = np.zeros((1, scenario.n_robots, *layout.shape), dtype=np.float32)
+        shape = team.observation_layout.shape
+        self._team = np.zeros((1, team.n_robots, *shape), dtype=np.float32)
+        self._robot = robot
         self.reset()
 
     @property
@@ -83,13 +97,15 @@ class OneRobot:
             ValueError: naming the argument, its value and the remedy; the state is then unchanged.
         """
         elapsed = self.scenario.tau if dt is None else positive("dt", dt, "s")
-        self._team[0, 0] = self._sight.rows(bearings, obstacles, weights, gravity)
+        rows = self._sight.rows(bearings, obstacles, weights, gravity)
+        self._team[0, self._robot, : len(rows)] = rows
         self._time = self._time + elapsed if self._time >= 0.0 else 0.0
         if isinstance(self.policy, RealTimePolicy):
             actions = self.policy.after(elapsed, self._team, self._time)
         else:
             actions = self.policy(self._team, self._time)
-        return _within_limits(np.asarray(actions[0, 0], dtype=np.float64), self.scenario)
+        own = np.asarray(actions[0, self._robot], dtype=np.float64)
+        return _within_limits(own[: self.scenario.action_size], self.scenario)
 
     def reset(self) -> None:
         """Reset all memory; the next tick is the first."""
@@ -112,8 +128,9 @@ class RobotPolicy(OneRobot):
             a name or a file.
         policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
             of a run, a checkpoint or an exported network, as a Path or as "learned:PATH"; or a
-            policy, which controls ``scenario.of_robot(robot)``.
-        robot: index of the robot if models or limits of robots differ. It then runs policies for
+            policy of the whole team or of ``scenario.of_robot(robot)``, by its ``scenario``.
+        robot: index of the robot if models or limits of robots differ. The robot gets the actions
+            of the policy for this index. In teams of several models, named policies are those of
             its own model, and "by-model" is the law of that model.
         options: options of a named policy. Errors are those of ``act``.
     """
@@ -129,17 +146,55 @@ class RobotPolicy(OneRobot):
         if isinstance(policy, Path):
             policy = f"{registry.AT_PATH}{policy}"
         name = policy if isinstance(policy, str) else ""
-        scenario, name = of_one_robot(resolve(scenario), name, robot)
-        check_one_robot(scenario)
+        given = resolve(scenario)
+        own, team, name = of_one_robot(given, name, robot)
+        check_one_robot(own)
         if isinstance(policy, str):
-            policy = name
-            name, policy = policy, registry.make(policy, scenario, **options)
+            policy = registry.make(name, team, **options)
             check_kind(name)
         elif not callable(policy):
             raise_invalid(
                 "policy", policy, "a name, a Path, or a function of observations and time"
             )
-        super().__init__(scenario, policy, common_gain(scenario))
+        else:
+            team = _team_of(policy, given)
+            _check_controls(team, own, robot)
+        super().__init__(own, policy, common_gain(own), team, robot or 0)
+
+
+def _team_of(policy: Policy, scenario: Scenario) -> Scenario:
+    """Scenario of a policy; that of the robots if it has none."""
+    team = getattr(policy, "scenario", None)
+    return team if isinstance(team, Scenario) else scenario
+
+
+def _check_controls(team: Scenario, own: Scenario, robot: int | None) -> None:
+    """Raise a ValueError if a policy of ``team`` does not control a robot of the scenario ``own``.
+
+    ``robot`` is its index; None is any, if all robots of the policy are equal.
+    """
+    remedy = "make the policy for the scenario given here, or for scenario.of_robot(i)"
+    if robot is None and team.per_robot:
+        raise ValueError(
+            f"policy controls robots with a list of {team.per_robot[0]}; pass the scenario of the "
+            "policy, and robot=i"
+        )
+    shapes = [
+        (one.n_robots, one.dim, layout.neighbour_slots, layout.obstacle_slots)
+        for one in (team, own)
+        for layout in (one.observation_layout,)
+    ]
+    if shapes[0] != shapes[1]:
+        names = "robots, dimension, neighbour slots and obstacle slots"
+        raise ValueError(f"policy is for {shapes[0]} {names}, the robot for {shapes[1]}; {remedy}")
+    its = team.of_robot(robot or 0)
+    if its.robot_model != own.robot_model:
+        raise ValueError(
+            f"policy controls a {its.robot_model}, the robot is a {own.robot_model}; {remedy}"
+        )
+    if robot is not None and (its.action_bounds > own.action_bounds).any():
+        limits = its.action_bounds.tolist(), own.action_bounds.tolist()
+        raise ValueError(f"policy has the limits {limits[0]}, the robot {limits[1]}; {remedy}")
 
 
 def check_one_robot(scenario: Scenario) -> None:
@@ -153,18 +208,23 @@ def check_one_robot(scenario: Scenario) -> None:
         )
 
 
-def of_one_robot(scenario: Scenario, policy: str, robot: int | None) -> tuple[Scenario, str]:
-    """Scenario and policy, by name, of a robot; None is any, as all are equal.
+def of_one_robot(
+    scenario: Scenario, policy: str, robot: int | None
+) -> tuple[Scenario, Scenario, str]:
+    """Scenario of a robot, that of its policy, and the policy's name.
 
-    "by-model" in a mixed team is the law of the robot's model. A ValueError for an index out of
-    range.
+    A None robot is any, as all are equal. The policy controls the whole team if all robots have
+    the same model, with the limits of the team. In teams of several models it controls robots of
+    the model of this robot, and "by-model" is their law. A ValueError for an index out of range.
     """
     if robot is None:
-        return scenario, policy
+        return scenario, scenario, policy
     own = scenario.of_robot(check_int("robot", robot, 0, scenario.n_robots - 1))
-    if policy == "by-model" and scenario.mixes_models:
+    if not scenario.mixes_models:
+        return own, scenario, policy
+    if policy == "by-model":
         policy = LAW_OF_MODEL.get(str(own.robot_model), policy)
-    return own, policy
+    return own, own, policy
 
 
 def common_gain(scenario: Scenario) -> float:

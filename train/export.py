@@ -141,15 +141,15 @@ def _write_python(config: Config, path: Path) -> str:
     policies.check_names([config.policy])
     team = policies.resolve_scenario(config.scenario)
     with user_error(f"--robot {config.robot}: ", ValueError):
-        scenario, name = of_one_robot(team, config.policy, config.robot)
+        own, scenario, name = of_one_robot(team, config.policy, config.robot)
     network, build = _network_of(name, scenario), None
     if policies.is_user_policy(name):
         build = policies.find_function(name)
     prepare_file(path, "--standalone")
     with atomic(path) as temporary:
         with user_error(f"--policy {config.policy}: ", ValueError):
-            text = standalone.text_of(name, scenario, network, build)
-            robot = RobotPolicy(scenario, policies.make(name, scenario))
+            text = standalone.text_of(name, scenario, network, build, own)
+            robot = RobotPolicy(scenario, policies.make(name, scenario), robot=config.robot)
         temporary.write_text(text, encoding="utf-8")
         with _on_board(build is not None):
             apart = standalone.compare(temporary, robot, config.checks)

@@ -172,8 +172,11 @@ def _margin(strength, min_alignment, dead_zone):
 
 @inner_kernel(inline="code")
 def _cap(margin):
-    """Parts ε and √(1 − ε²) along and across f of headings on the boundary of the cap."""
-    return margin, math.sqrt(1.0 - margin * margin)
+    """Parts ε and √(1 − ε²) along and across f of headings on the boundary of the cap.
+
+    For NO_CAP, which no heading is projected to, the second is 0.
+    """
+    return margin, math.sqrt(max(1.0 - margin * margin, 0.0))
 
 
 @inner_kernel(inline="code")

@@ -1,15 +1,18 @@
 """``rendezvous export --standalone``: one NumPy-only file with equal actions."""
 
 import ast
+import hashlib
 import json
 import py_compile
 import re
 import sys
+import textwrap
 import zipfile
 from importlib import import_module
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,6 +77,45 @@ def act_along(file, scenario, policy, seed, steps):
     return worst
 
 
+@pytest.mark.parametrize("policy", ["learned-tank", "own_laws:certified"])
+def test_file_of_a_robot_with_own_limits_acts_as_in_the_team(own, policy, tmp_path):
+    """By the settings of the whole team, within the robot's own limits."""
+    limits = {"max_speed": [0.5, 1.0, 2.0], "max_turn_rate": [1.0, 0.5, 2.0]}
+    if policy == "own_laws:certified":
+        limits = {"max_speed": limits["max_speed"]}
+    model = "single_integrator" if len(limits) == 1 else "unicycle"
+    team = rv.Scenario(name="team", n_robots=3, robot_model=model, **limits)
+    team.to_toml("team.toml")
+    words = ["--policy", policy, "--standalone", "robot.py", "--checks", "30"]
+    assert cli.main(["export", *words, "--scenario", "team.toml", "--robot", "2"]) == 0
+    file = standalone.load(tmp_path / "robot.py").RobotPolicy()
+    robot, moved = RobotPolicy(team, policies.make(policy, team), robot=2), 0.0
+    for *seen, told in standalone.drawn_ticks(team.of_robot(2), 60):
+        action = robot.act(*seen, **told)
+        np.testing.assert_allclose(file.act(*seen, **told), action, atol=1e-6)
+        moved += np.linalg.norm(action)
+    assert moved > 5.0
+
+
+def test_example_of_the_documentation_is_exported(monkeypatch, tmp_path):
+    """The file ``my_laws.py`` of the page, which uses ``baselines`` by attribute."""
+    page = (Path(__file__).parents[2] / "docs/write-a-law.md").read_text(encoding="utf-8")
+    found = re.search(r"```python\n(# my_laws\.py\n.*?)```", page, re.DOTALL)
+    assert found and "baselines.HeadingPolicy(" in found[1]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "my_laws.py").write_text(found[1], encoding="utf-8")
+    words = ["--policy", "my_laws:make", "--standalone", "robot.py", "--checks", "100"]
+    try:
+        assert cli.main(["export", *words, "--scenario", "clutter-12"]) == 0
+        robot = RobotPolicy(CLUTTER, policies.make("my_laws:make", CLUTTER))
+    finally:
+        sys.modules.pop("my_laws", None)
+    action = standalone.load(tmp_path / "robot.py").RobotPolicy().act([[0.6, 0.8], [1.0, 0.0]])
+    np.testing.assert_allclose(action, robot.act([[0.6, 0.8], [1.0, 0.0]]), atol=1e-6)
+    assert np.linalg.norm(action) > 0.1
+
+
 @pytest.mark.parametrize("robot", [0, 7])
 def test_file_of_a_robot_of_a_mixed_team_is_that_of_its_model(robot, tmp_path, capsys):
     path = tmp_path / "robot.py"
@@ -104,6 +146,57 @@ class TestAgreement:
         steady = "OdometryFrame:\n" in exported(policy, name).read_text(encoding="utf-8")
         assert steady == (in_space and policy.startswith("learned"))
 
+    @pytest.mark.parametrize(
+        ("policy", "name"),
+        [
+            *((policy, "clutter-12") for policy in POLICIES),
+            *(slow(*one) for one in (*SHORT, *SPACE)),
+        ],
+    )
+    def test_standalone_file_matches_policy_where_net_bearing_is_zero(self, exported, policy, name):
+        """No neighbour ever, neighbours lost, opposite and coincident ones."""
+        file, scenario = standalone.load(exported(policy, name)).RobotPolicy(), name
+        robot, worst = RobotPolicy(scenario, policy), 0.0
+        episodes = standalone.corner_ticks(robot.scenario)
+        silent = [all(not len(seen) for seen, *_ in episode[:3]) for episode in episodes]
+        cancel = [any(np.abs(sum(seen)).max() == 0 < len(seen) for seen, *_ in e) for e in episodes]
+        assert any(silent) and any(cancel)
+        for episode in episodes:
+            for one in (file, robot):
+                one.reset()
+            for *seen, told in episode:
+                action = robot.act(*seen, **told)
+                if not len(seen[0]):
+                    assert not action.any()
+                worst = max(worst, np.abs(file.act(*seen, **told) - action).max())
+        assert worst < 1e-5
+
+    @pytest.mark.parametrize("fault", ["never", "lost", "opposite"])
+    def test_export_checks_net_bearing_zero_with_any_number_of_checks(
+        self, fault, monkeypatch, tmp_path, one_line
+    ):
+        """A file that fails there only is not written."""
+        written = standalone.text_of
+        conditions = {
+            "never": "not len(bearings) and self._time < 0",
+            "lost": "not len(bearings) and self._time > 0",
+            "opposite": "len(bearings) == 2 and not np.sum(bearings, axis=0).any()",
+        }
+        start = "        elapsed = self.scenario.tau if dt is None"
+
+        def wrong(*given):
+            text = written(*given)
+            assert start in text
+            fail = f"        if {conditions[fault]}:\n            return np.full(2, 0.5)\n"
+            lines = text.replace(start, fail + start).splitlines(keepends=True)
+            digest = hashlib.sha256("".join(lines[:-1]).encode()).hexdigest()
+            return "".join(lines[:-1]) + re.sub(r"[0-9a-f]{64}", digest, lines[-1])
+
+        monkeypatch.setattr(standalone, "text_of", wrong)
+        words = "--policy", "bearing-only", "--standalone", tmp_path / "robot.py", "--checks", "1"
+        assert "the file differs from the policy by" in one_line("export", *words)
+        assert not list(tmp_path.iterdir())
+
     def test_reset_restarts_and_bad_measurements_are_named(self, exported):
         file = standalone.load(exported("learned-tank"))
         robot, seen = file.RobotPolicy(), [[1.0, 0.0], [0.0, 1.0]]
@@ -117,7 +210,7 @@ class TestAgreement:
     def test_export_rejects_differing_file(self, monkeypatch, tmp_path, one_line):
         written = standalone.text_of
 
-        def wrong(policy, scenario, network, build):
+        def wrong(policy, scenario, network, build, own):
             weights, settings = network
             bias = weights["action_net.bias"] + 50.0 * np.arange(len(settings.angles))
             return written(policy, scenario, ({**weights, "action_net.bias": bias}, settings))
@@ -326,9 +419,28 @@ class TestBundle:
         turn = getattr(file, "feature_kernels_turn", None) or vars(file)["_turn"]
         assert turn(np.array([1.0, 0.0]), np.array([0.0, 1.0])) == pytest.approx(np.pi / 2)
 
-    def test_bundle_rejects_module_as_value(self):
-        with pytest.raises(ValueError, match=r"resolve_scenario uses the module rendezvous"):
-            Bundle([Name("train.policies", "resolve_scenario")], {}).text()
+    def test_bundle_follows_attributes_of_modules(self, own, tmp_path):
+        text = """
+            import rendezvous_env as rv
+            import rendezvous_env.safety as safety
+            from rendezvous_env.physics import vectors
+            def act(h, f):
+                '''As vectors.dot.'''
+                return vectors.dot(h, f), rv.certified_heading.__name__, safety.heading.NO_CAP
+            """
+        (tmp_path / "own_laws.py").write_text(textwrap.dedent(text), encoding="utf-8")
+        standalone.add_module("own_laws")
+        names: dict[str, Any] = {}
+        bundle = Bundle([Name("own_laws", "act")], standalone._STAND_INS)
+        exec(f"from __future__ import annotations\n{bundle.text()}", names)
+        assert names["act"]((1.0, 2.0), (3.0, 4.0)) == (11.0, "certified_heading", -2.0)
+
+    def test_bundle_rejects_module_as_value(self, own, tmp_path):
+        text = "from rendezvous_env import baselines\ndef whole(scenario):\n    return baselines\n"
+        (tmp_path / "own_laws.py").write_text(text, encoding="utf-8")
+        standalone.add_module("own_laws")
+        with pytest.raises(ValueError, match=r"own_laws\.whole uses the module rendezvous_env"):
+            Bundle([Name("own_laws", "whole")], {}).text()
 
 
 ARENA, TICK = np.array([1.6, 1.0]), 0.033

@@ -9,6 +9,7 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from baselines import HeadingPolicy, TankPolicy, TrainedPolicy
+from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.trajectory import begin
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 
@@ -54,6 +55,38 @@ def places_under(policy, scenario, steps, period):
         seen = simulator.step(policy(seen, simulator.time)).observations
         places += [simulator.positions] if step % period == 0 else []
     return np.stack(places), simulator
+
+
+def test_single_integrators_of_mixed_teams_keep_their_direction_at_the_speed_limit():
+    """Commands are those of the filter, no longer than the limit, and parallel to them."""
+    team = rv.Scenario(
+        n_robots=6, robot_model=["single_integrator"] * 5 + ["unicycle"], max_speed=0.5
+    )
+    choose = team.observation_layout.net_bearing
+    policy = HeadingPolicy(team, choose, frame="local")
+    safety = HeadingFilter(team, 3, frame="local")
+    seen = rv.Simulator(team, 3).reset(0)
+    safety.hold(choose(seen))
+    wanted, sent = safety.compute(seen)[:, :5], policy(seen, 0.0)[:, :5]
+    sizes = np.linalg.norm(wanted, axis=-1, keepdims=True)
+    assert (sizes > 0.6).sum() > 5
+    np.testing.assert_allclose(sent, wanted * np.minimum(1.0, 0.5 / sizes), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "models", "said"),
+    [
+        (HeadingPolicy, "single_integrator", "k = 2 parts of a heading vector"),
+        (HeadingPolicy, "unicycle", "k = 1 turn rates in units of the maximum"),
+        (HeadingPolicy, ["single_integrator", "unicycle"], "or for nonholonomic robots first turn"),
+        (TankPolicy, "unicycle", "k = 2 parts of an action in units of its bounds"),
+    ],
+)
+def test_wrong_shape_of_choose_names_its_numbers(make, models, said):
+    policy = make(rv.Scenario(n_robots=2, robot_model=models), lambda seen: np.zeros((1, 2, 7)))
+    with pytest.raises(ValueError, match=r"choose gave an array of shape \(1, 2, 7\)") as caught:
+        policy(np.zeros((1, 2, 1, 2), np.float32), 0.0)
+    assert said in str(caught.value)
 
 
 class TestFunctions:

@@ -121,6 +121,119 @@ def test_robots_of_a_mixed_team_act_as_in_the_team(scenario):
     assert moved > 100 and simulator.status[0] == RENDEZVOUS
 
 
+S, U, N = "single_integrator", "unicycle", "nonholonomic_3d"
+TEAMS = {
+    "unicycles last": rv.Scenario(n_robots=5, robot_model=[S, S, S, U, U], merge_radius=0.3),
+    "unicycle first": rv.Scenario(
+        n_robots=4, robot_model=[U, S, S, U], max_speed=[1.0, 0.5, 1.0, 0.7], merge_radius=0.3
+    ),
+    "3-D": rv.Scenario(n_robots=4, dim=3, robot_model=[S, N, S, N], max_turn_rate=2.0),
+    "speeds": rv.Scenario(n_robots=4, max_speed=[0.5, 0.5, 1.0, 2.0]),
+    "turn rates": rv.Scenario(n_robots=3, robot_model=U, max_turn_rate=[0.5, 1.0, 2.0]),
+    "3-D rates": rv.Scenario(
+        n_robots=3, dim=3, robot_model=N, max_turn_rate=[0.5, 1.0, 2.0], max_speed=[0.5, 1.0, 2.0]
+    ),
+}
+
+
+def across(scenario, size):
+    """Choices with a part along f and one across, of a filter with this many numbers."""
+
+    def choose(observations):
+        f = scenario.observation_layout.net_bearing(observations)
+        return np.tanh(0.4 * f + 0.6 * np.roll(f, 1, axis=-1))[..., :size]
+
+    return choose
+
+
+def filtered(kind, scenario):
+    """Policy of a team: a filter around ``across``, the law of each model, or a learned one."""
+    if kind == "law":
+        return baselines.make("by-model" if scenario.mixes_models else "bearing-only", scenario)
+    if kind not in ("heading", "tank"):
+        return baselines.make(kind, scenario)
+    size = scenario.dim - (kind == "heading" and scenario.nonholonomic_robots.all())
+    if kind == "heading":
+        return baselines.HeadingPolicy(scenario, across(scenario, size), decision_period=2)
+    size = scenario.action_size
+    return baselines.TankPolicy(scenario, across(scenario, size), budget=0.1)
+
+
+def assert_robots_act_as_team(scenario, robots, team, steps=60):
+    """Compare each robot's command with the action of the whole team, along an episode."""
+    simulator, layout, moved = rv.Simulator(scenario), scenario.observation_layout, 0
+    sizes = scenario.action_mask.sum(axis=-1)
+    for count, step in enumerate(run(simulator, team, simulator.reset(3))):
+        if count == steps:
+            break
+        seen = layout.split(step.observations[0].astype(float))
+        for i, robot in enumerate(robots):
+            rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
+            told = {"weights": np.linalg.norm(rows, axis=-1)}
+            if robot.scenario.observation_layout.senses_gravity:
+                if not seen.gravity[i].any():  # it has merged
+                    continue
+                told["gravity"] = seen.gravity[i]
+            action = robot.act(rows / told["weights"][:, None], dt=scenario.tau, **told)
+            np.testing.assert_allclose(action, step.actions[0, i, : sizes[i]], atol=2e-6)
+            moved += np.linalg.norm(action)
+    assert moved > 20
+
+
+@pytest.mark.parametrize(
+    ("kind", "team"),
+    [
+        *((kind, team) for kind in ("heading", "tank") for team in TEAMS),
+        *(("law", team) for team in ("unicycles last", "unicycle first", "3-D", "speeds")),
+        *((kind, team) for kind in ("learned", "learned-tank") for team in ("speeds", "3-D rates")),
+        *((kind, "turn rates") for kind in ("learned", "learned-tank", "unicycle")),
+    ],
+)
+def test_robots_of_a_teams_policy_act_as_in_the_team(kind, team):
+    """Given as an object, each robot by its index."""
+    scenario = TEAMS[team]
+    robots = [
+        RobotPolicy(scenario, filtered(kind, scenario), robot=i) for i in range(scenario.n_robots)
+    ]
+    assert_robots_act_as_team(scenario, robots, filtered(kind, scenario))
+
+
+@pytest.mark.parametrize("name", ["learned", "learned-tank"])
+@pytest.mark.parametrize("team", ["speeds", "turn rates", "3-D rates"])
+def test_named_policy_of_robots_with_own_limits_acts_as_in_the_team(name, team):
+    scenario = TEAMS[team]
+    robots = [RobotPolicy(scenario, name, robot=i) for i in range(scenario.n_robots)]
+    assert_robots_act_as_team(scenario, robots, baselines.make(name, scenario))
+
+
+def test_a_function_gets_the_slot_of_its_robot():
+    def by_index(observations, time):
+        speeds = 0.1 * (1.0 + np.arange(observations.shape[-3]))
+        return np.stack([speeds, 0.0 * speeds], axis=-1)[np.newaxis]
+
+    scenario = TEAMS["unicycles last"]
+    for i in range(5):
+        action = RobotPolicy(scenario, by_index, robot=i).act([[0.6, 0.8], [1.0, 0.0]])
+        np.testing.assert_allclose(action, [0.1 * (i + 1), 0.0])
+
+
+def test_policy_of_one_robots_scenario_is_accepted_for_it_alone():
+    scenario = TEAMS["unicycle first"]
+    own = filtered("heading", scenario.of_robot(3))
+    found = RobotPolicy(scenario, own, robot=3).act(along(40, 50))
+    alone = RobotPolicy(scenario.of_robot(3), filtered("heading", scenario.of_robot(3)))
+    np.testing.assert_array_equal(found, alone.act(along(40, 50)))
+    with pytest.raises(ValueError, match=r"controls a unicycle, the robot is a single_integrator"):
+        RobotPolicy(scenario, own, robot=1)
+    fast = TEAMS["speeds"].of_robot(3)
+    with pytest.raises(ValueError, match=r"has the limits \[2.0, 2.0\], the robot \[0.5, 0.5\]"):
+        RobotPolicy(TEAMS["speeds"], filtered("heading", fast), robot=0)
+    with pytest.raises(ValueError, match=r"list of robot_model; pass the scenario of the policy"):
+        RobotPolicy(scenario.of_robot(3), filtered("heading", scenario))
+    with pytest.raises(ValueError, match=r"policy is for \(5, 2, 4, 0\) robots, .* \(4, 2, 3, 0\)"):
+        RobotPolicy(scenario, filtered("heading", TEAMS["unicycles last"]), robot=0)
+
+
 def test_robot_policy_needs_the_index_of_a_robot_with_limits_of_its_own():
     with pytest.raises(ValueError, match="pass robot=i"):
         RobotPolicy("mixed-8", "by-model")

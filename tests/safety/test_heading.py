@@ -1,9 +1,11 @@
 """Theorem C's heading, law (4) and the local step scaling."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+from conftest import run_python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -250,3 +252,23 @@ def test_unlimited_turn_needs_no_compiler():
     cosine, sine, square = turn_limit.py_func(np.inf) if compiled() else turn_limit(np.inf)
     assert (cosine, square) == (-1.0, np.inf)
     assert sine == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_interpreted_heading_where_f_is_zero_is_the_compiled_one(dim, tmp_path):
+    """Plain Python raises where a compiled kernel computes an unused NaN."""
+    ahead, none = np.eye(dim)[0], np.zeros(dim)
+    rows = [(q, f, h) for q in (ahead, -ahead, none) for f in (none, ahead) for h in (-ahead, none)]
+    given = [list(map(np.ndarray.tolist, row)) for row in rows]
+    script = (
+        "import json, sys, numpy as np\n"
+        "from rendezvous_env import certified_heading\n"
+        "told = dict(min_alignment=0.1, dead_zone=0.1, max_turn=0.2)\n"
+        "for row in json.loads(sys.argv[1]):\n"
+        "    print(json.dumps(certified_heading(*map(np.array, row), **told).tolist()))"
+    )
+    done = run_python(tmp_path, "-c", script, json.dumps(given), NUMBA_DISABLE_JIT="1")
+    wanted = [certified_heading(*row, **CONSTANTS) for row in rows]
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+    assert np.isfinite(wanted).all()

@@ -7,6 +7,7 @@ import runpy
 import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -121,8 +122,8 @@ _WHEELS = (
 )
 NUMBERS = (
     "name", "dim", "robot_model", "merge_radius", "tau", "certified_step", "dead_zone",
-    "max_degree", "speed_limit", "min_speed_limit", "max_turn_rate", "scales_velocity",
-    "drops_neighbours", "action_size",
+    "max_degree", "speed_limit", "min_speed_limit", "max_turn_rate", "min_turn_limit",
+    "scales_velocity", "drops_neighbours", "action_size",
 )  # fmt: skip
 """Scenario quantities used by single-robot policies."""
 
@@ -155,13 +156,14 @@ TEAM = SimpleNamespace(
     n_robots=1,  # that are steered from here; the numbers below are those of the whole team
     observation_layout=ObservationLayout({layout}),
     action_bounds=np.array({bounds}),
-    robot_bounds=np.array([{bounds}]),
+    robot_bounds=np.array([{least}]),  # lowest of the team
     per_robot=(),
     nonholonomic_robots=np.array([{nonholonomic}]),
     models=(SimpleNamespace(**{model}),),
     model=SimpleNamespace(**{model}),
     **{numbers},
 )
+ROBOT = SimpleNamespace(**vars(TEAM) | {{"action_bounds": np.array({own})}})
 
 
 class RobotPolicy(OneRobot):
@@ -169,7 +171,7 @@ class RobotPolicy(OneRobot):
 
     def __init__(self):
         policy = {make}
-        super().__init__(TEAM, policy if IS_UNCHANGED else None, {gain!r})
+        super().__init__(ROBOT, policy if IS_UNCHANGED else None, {gain!r})
 '''
 _LEARNED = '''
 SETTINGS = {settings}
@@ -240,14 +242,17 @@ def text_of(
     scenario: Scenario,
     network: Network | None,
     build: Callable[..., Any] | None = None,
+    own: Scenario | None = None,
 ) -> str:
     """Content of the file of a policy, by name, for a robot of a scenario.
 
     Without a network it is a law, a rule, or the result of a user's function ``build`` of a
-    scenario. A ValueError names robots or a policy that ``RobotPolicy`` does not support either, or
-    code that cannot be in one file.
+    scenario. ``own`` is the scenario of the robot if limits of robots differ. A ValueError names
+    robots or a policy that ``RobotPolicy`` does not support either, or code that cannot be in one
+    file.
     """
-    check_one_robot(scenario)
+    own = own or scenario
+    check_one_robot(own)
     stand_ins = _STAND_INS | _OF_MIXED_TEAMS | _OF_OTHER_DIMENSIONS[scenario.dim]
     roots, extra = list(_ROOTS), ""
     if scenario.dim == 2:
@@ -281,6 +286,8 @@ def text_of(
     team = _TEAM.format(
         layout=", ".join(f"{key}={v}" for key, v in vars(scenario.observation_layout).items()),
         bounds=scenario.action_bounds.tolist(),
+        least=scenario.robot_bounds.min(axis=0).tolist(),
+        own=own.action_bounds.tolist(),
         nonholonomic=scenario.model.nonholonomic,
         model=_written({name: getattr(scenario.model, name) for name in about}),
         numbers=_written({name: getattr(scenario, name) for name in NUMBERS}),
@@ -361,12 +368,39 @@ def load(path: Path) -> Any:
 
 
 def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
-    """Largest difference, m/s, between a file and a policy in random ticks."""
-    written, worst = load(path).RobotPolicy(), 0.0
-    for *seen, told in drawn_ticks(robot.scenario, ticks):
-        apart = written.act(*seen, **told) - robot.act(*seen, **told)
-        worst = np.maximum(worst, np.abs(apart).max())  # keeps NaN
+    """Largest difference, m/s, of a file from a policy in ``corner_ticks`` and random ticks."""
+    file, worst = load(path), 0.0
+    for episode in (*corner_ticks(robot.scenario), drawn_ticks(robot.scenario, ticks)):
+        written = file.RobotPolicy()
+        robot.reset()
+        for *seen, told in episode:
+            apart = written.act(*seen, **told) - robot.act(*seen, **told)
+            worst = np.maximum(worst, np.abs(apart).max())  # keeps NaN
     return float(worst)
+
+
+def corner_ticks(scenario: Scenario) -> list[list[tuple[Any, ...]]]:
+    """Short episodes as ``drawn_ticks``, in which f = 0 at first, later, or to the end.
+
+    No neighbour is visible, or two opposite ones cancel, with an obstacle ahead or without. In
+    others the only neighbour changes sides, and two neighbours have the same bearing.
+    """
+    layout, d = scenario.observation_layout, scenario.dim
+    ahead, left = np.eye(d)[:1], np.eye(d)[1:2]
+    pairs = [(left, -left), (ahead, -ahead), (ahead, ahead)]
+    neighbours = [np.zeros((0, d)), -ahead, *map(np.concatenate, pairs)]
+    obstacles = [np.zeros((0, layout.silhouette_points, d))]
+    if layout.obstacle_slots:
+        obstacles.append(_silhouettes(ahead, np.full((1, 1, 1), 0.5)))
+    told = {"gravity": -np.eye(3)[2]} if layout.senses_gravity else {}
+    weight, episodes = scenario.max_degree / max(1, layout.neighbour_slots), []
+    for rows, edges in product(neighbours, obstacles):
+        if len(rows) <= layout.neighbour_slots:
+            for order in ((rows, rows, rows, ahead), (ahead, rows, ahead, rows, rows)):
+                weights = [{"weights": np.full(len(seen), weight)} for seen in order]
+                ticks = zip(order, weights, strict=True)
+                episodes.append([(seen, edges, scenario.tau, told | own) for seen, own in ticks])
+    return episodes
 
 
 def drawn_ticks(scenario: Scenario, ticks: int) -> Iterator[tuple[Any, ...]]:

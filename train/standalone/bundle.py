@@ -128,6 +128,29 @@ def _meaning(module: str, word: str) -> Name:
     return resolve(here.imports[word]) if word in here.imports else Name("", word)
 
 
+def _is_module(name: str) -> bool:
+    try:
+        return util.find_spec(name) is not None
+    except ModuleNotFoundError:  # of no package
+        return False
+
+
+def _meaning_of_path(module: str, path: str) -> tuple[Name, int]:
+    """Definition of a word in a module, or of an attribute of a module of this project.
+
+    The second is the number of words of the path that it stands for.
+    """
+    word, *attributes = path.split(".")
+    found, used = _meaning(module, word), 1
+    while found.module and found.is_ours and not found.word and used <= len(attributes):
+        place, attribute = module_of(found.module), attributes[used - 1]
+        if attribute not in {**place.definitions, **place.imports}:
+            if not _is_module(f"{found.module}.{attribute}"):
+                break
+        found, used = resolve(Name(found.module, attribute)), used + 1
+    return found, used
+
+
 class Bundle:
     """Definitions on which some names depend, as the text of one file.
 
@@ -168,8 +191,9 @@ class Bundle:
         """Add the dependencies of a part of a definition in this project; record other imports."""
         nodes = ast.walk(ast.parse(text))
         self._attributes |= {node.attr for node in nodes if isinstance(node, ast.Attribute)}
-        for word in sorted(_free_names(text)):
-            found = _meaning(name.module, word)
+        for path in sorted(_free_paths(text, name.module)):
+            word = path.partition(".")[0]
+            found, _ = _meaning_of_path(name.module, path)
             if not found.module:
                 if name not in self._stand_ins and not hasattr(builtins, word):
                     raise ValueError(
@@ -245,10 +269,36 @@ def _free_names(text: str) -> set[str]:
     return found - {"__class__", "super"}
 
 
+def _free_paths(text: str, module: str) -> set[str]:
+    """As ``_free_names``; names of modules of this project with the attributes that follow them."""
+    free = _free_names(text)
+    modules = {
+        word
+        for word in free
+        if (found := _meaning(module, word)).module and found.is_ours and not found.word
+    }
+    if not modules:
+        return free
+    tree, paths = ast.parse(text), set()
+    inner = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    for node in ast.walk(tree):
+        read = isinstance(node, ast.Attribute | ast.Name) and not isinstance(node.ctx, ast.Store)
+        if read and id(node) not in inner:
+            path = ast.unparse(node)
+            if path.partition(".")[0] in modules and path.replace(".", "").isidentifier():
+                paths.add(path)
+    return (free - modules) | paths
+
+
 def _renamed(name: Name, text: str, called: Mapping[Name, str]) -> str:
-    """Definition with the names of the file for its dependencies; attributes are unchanged."""
+    """Definition with the names of the file for its dependencies.
+
+    Attributes are unchanged, except those of modules of this project.
+    """
 
     def word_here(found: re.Match[str]) -> str:
-        return called.get(_meaning(name.module, found[0]), found[0])
+        meaning, used = _meaning_of_path(name.module, found[0])
+        rest = found[0].split(".")[used:]
+        return ".".join([called[meaning], *rest]) if meaning in called else found[0]
 
-    return re.sub(r"(?<![.\w])[^\W\d]\w*", word_here, text)
+    return re.sub(r"(?<![.\w])[^\W\d]\w*(\.[^\W\d]\w*)*", word_here, text)
