@@ -2,7 +2,7 @@
 
     python examples/14_ros_node.py --ros-args -r __ns:=/robot0 [-p differential_drive:=true]
 
-It needs `pip install 'rendezvous-env[ros]'`, or a ROS 2 installation. Input topics are `imu`, for
+It needs `pip install '.[ros]'`, or a ROS 2 installation. Input topics are `imu`, for
 the body's yaw, and `bearings` and `edges`, angles in rad from the body's x axis. The output is
 `cmd_vel`. A malformed message is dropped and counted. Without an orientation, or with one topic too
 old, the robot rests.

@@ -2,7 +2,7 @@
 
     python examples/15_jax_ppo.py
 
-It needs `pip install 'rendezvous-env[jax]'`, on a CPU, GPU or TPU. All robots share one network
+It needs `pip install '.[jax]'`, on a CPU, GPU or TPU. All robots share one network
 that scores angles of the raw heading from f, under certified headings (theorem C), at first small
 ones. The cost of contact rises. Advantages of merged robots continue with their survivor's.
 """

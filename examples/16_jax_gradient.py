@@ -2,7 +2,7 @@
 
     python examples/16_jax_gradient.py --figure gradient.png
 
-It needs `pip install 'rendezvous-env[jax]'` and matplotlib. Six robots follow law (1). The sum of
+It needs `pip install '.[jax]'` and matplotlib. Six robots follow law (1). The sum of
 the weights a_ij stays constant. The cost is a smooth maximum, over 100 initial conditions, of a
 smooth time to rendezvous, τ Σ_t s/(s + 1 m), with s the sum of the distances of all robots.
 """

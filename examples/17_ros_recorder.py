@@ -2,7 +2,7 @@
 
     python examples/17_ros_recorder.py OUT robot0 robot1 robot2 robot3
 
-It needs `pip install 'rendezvous-env[ros,logs]'`. For each robot it records ``bearings``, which the
+It needs `pip install '.[ros,logs]'`. For each robot it records ``bearings``, which the
 node of 14_ros_node.py receives, and ``pose``, geometry_msgs/PoseStamped of motion capture, until
 Ctrl-C. OUT is a folder of rosbag2 in MCAP. Times are those of arrival, so one clock stamps all.
 """

@@ -324,6 +324,11 @@ def test_shipped_records_reproduce_tables(tier, monkeypatch):
     if tier == "smoke":
         return
     page = (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8")
+    headings = [
+        c for c in exact if c["guarantee"] == "heading" and c["algorithm"] != "bearing-only"
+    ]
+    steps = sum(sum(c["results"]["steps"]) for c in headings) / 1e6
+    assert f"in two of {steps:.1f} million robot steps of {len(headings)} runs" in page
     shown = {row["algorithm"]: row for row in tables.rows_of(exact)}
     without = re.sub(r" \([\d.]+ to [\d.]+\)", "", page)
     for line in table_of(exact):

@@ -125,12 +125,12 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
         f"each learner; {counted(cards[0]['starts'], 'held-out initial condition')} a run; "
         f"{minutes:.0f} minutes in all, run after run.\n\n"
         f"{told}\n\nInterquartile means over runs with 95 % intervals, a bootstrap over seeds "
-        "stratified by fields; what learns nothing is one run a field. V rose: robot steps "
-        "in which V rose between merges with nobody of the team in contact, which theorem C rules "
-        "out.\n\n"
-        "`cells/` has a card for each run: settings, versions, digest of the field and the numbers "
-        "of every episode. `rendezvous leaderboard --repeat CARD` does it again. `replays/` has "
-        "two episodes of a run of each cell, which the page of `rendezvous report` shows.\n"
+        "stratified by scenario; methods without learning have one run per scenario. V rose: robot "
+        "steps in which V rose between merges without a contact in the team, which theorem C "
+        "excludes.\n\n"
+        "`cells/` has a record of each run: settings, versions, digest of the scenario and numbers "
+        "of every episode. `rendezvous leaderboard --repeat RECORD` repeats it. `replays/` has "
+        "two episodes per algorithm and scenario, which the page of `rendezvous report` shows.\n"
     )
 
 

@@ -52,7 +52,8 @@ class Certificate:
     """Bound on the rendezvous time in discrete time, s, from the given initial condition or from
     any that episodes sample; inf if none is proven."""
     guaranteed: bool
-    """True if rendezvous is guaranteed."""
+    """True if rendezvous is guaranteed: at the scenario's time step, or in continuous time where
+    ``continuous_time_only``."""
     theorem: str
     """Theorem that applies to the scenario, or the missing assumption."""
     by: str = "law"
