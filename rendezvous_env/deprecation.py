@@ -24,23 +24,61 @@ def renamed_attribute(old: str, new: str, label: str = "") -> Any:
 
 
 class RenamedKeys(dict[str, Any]):
-    """Dict that also has the former names of its keys, by subscript and ``get``."""
+    """Dict whose keys are also found by their former names, with a warning.
+
+    This holds for subscripts, ``in``, ``get``, ``pop``, ``setdefault`` and ``del``, and in copies
+    and unions. Iteration, length and equality ignore former names. An assignment stores a key as
+    given.
+    """
 
     def __init__(self, items: Mapping[str, Any], former: Mapping[str, str]) -> None:
         super().__init__(items)
         self._former = dict(former)
 
+    def _current(self, key: str) -> str:
+        """Key of the dict for a key or a former name; other keys are returned as given."""
+        if super().__contains__(key) or key not in self._former:
+            return key
+        new = self._former[key]
+        if not super().__contains__(new):
+            return key
+        warn_renamed(repr(key), repr(new), stacklevel=4)
+        return new
+
     def __missing__(self, key: str) -> Any:
-        if key in self._former:
-            warn_renamed(repr(key), repr(self._former[key]))
-            return self[self._former[key]]
-        raise KeyError(key)
+        if (new := self._current(key)) == key:
+            raise KeyError(key)
+        return self[new]
+
+    def __contains__(self, key: Any) -> bool:
+        return super().__contains__(self._current(key))
+
+    def __delitem__(self, key: str) -> None:
+        super().__delitem__(self._current(key))
 
     def get(self, key: str, default: Any = None) -> Any:
-        """Value of a key, a former name of it included."""
-        if key not in self and self._former.get(key) in self:
-            warn_renamed(repr(key), repr(self._former[key]))
-        return super().get(self._former.get(key, key) if key not in self else key, default)
+        """Value of a key or a former name."""
+        return super().get(self._current(key), default)
+
+    def pop(self, key: str, *default: Any) -> Any:
+        """Remove a key, given by itself or a former name, and return its value."""
+        return super().pop(self._current(key), *default)
+
+    def setdefault(self, key: str, default: Any = None) -> Any:
+        """Value of a key or a former name; an absent key is stored as given."""
+        return super().setdefault(self._current(key), default)
+
+    def copy(self) -> "RenamedKeys":
+        """Shallow copy with the same former names."""
+        return RenamedKeys(self, self._former)
+
+    def __or__(self, other: Any) -> Any:
+        merged = super().__or__(other)
+        return merged if merged is NotImplemented else RenamedKeys(merged, self._former)
+
+    def __ror__(self, other: Any) -> Any:
+        merged = super().__ror__(other)
+        return merged if merged is NotImplemented else RenamedKeys(merged, self._former)
 
 
 def renamed_arguments(**names: str) -> Callable[[_Function], _Function]:

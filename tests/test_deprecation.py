@@ -1,5 +1,8 @@
 """Former names of arguments and attributes."""
 
+import copy
+import pickle
+
 import pytest
 
 import rendezvous_env as rv
@@ -38,13 +41,38 @@ def test_renamed_attribute_reads_the_new_one():
 
 def test_renamed_keys_read_the_new_ones():
     row = RenamedKeys({"radius": 0.2}, {"size": "radius", "age": "years"})
-    for read in (lambda: row["size"], lambda: row.get("size")):
+    for read in (
+        lambda: row["size"],
+        lambda: row.get("size"),
+        lambda: row.copy()["size"],
+        lambda: copy.deepcopy(row)["size"],
+        lambda: pickle.loads(pickle.dumps(row))["size"],
+        lambda: (row | {"other": 1})["size"],
+        lambda: ({"other": 1} | row)["size"],
+        lambda: ("size" in row) * 0.2,
+        lambda: row.setdefault("size", 9),
+        lambda: row.copy().pop("size", None),
+    ):
         with pytest.warns(DeprecationWarning, match="^'size' is called 'radius' now$") as warned:
             assert read() == 0.2
         assert warned[0].filename == __file__
     assert row.get("age", 3) == 3 and row.get("other") is None and row == {"radius": 0.2}
-    with pytest.raises(KeyError, match="other"):
-        row["other"]
+    assert (
+        "age" not in row and row.copy().pop("age", 3) == 3 and row.copy().setdefault("age") is None
+    )
+    for use in (lambda: row["other"], lambda: row["age"], lambda: row.pop("age")):
+        with pytest.raises(KeyError, match=r"other|age"):
+            use()
+    with pytest.warns(DeprecationWarning, match="^'size' is called 'radius' now$") as warned:
+        del row["size"]
+    assert not row and warned[0].filename == __file__
+
+
+def test_unions_of_renamed_keys_prefer_the_right_operand():
+    row = RenamedKeys({"radius": 0.2}, {"size": "radius"})
+    assert row | {"radius": 1} == {"radius": 1} and {"radius": 1} | row == {"radius": 0.2}
+    with pytest.raises(TypeError):
+        _ = row | 3
 
 
 def test_training_env_accepts_touch_penalty():
