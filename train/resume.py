@@ -31,13 +31,14 @@ from .console import Console
 
 PLAN = "plan.json"
 Task = TypeVar("Task", bound=Any)
+_PROGRAM = ("format_version", "versions", "source")
 _DIGEST = hashlib.sha256().digest_size
 
 
 def program() -> dict[str, Any]:
     """Version information on which results depend, as plain data."""
     about = results.provenance()
-    return {**{key: about[key] for key in ("format_version", "versions")}, "source": _source()}
+    return {key: _source() if key == "source" else about[key] for key in _PROGRAM}
 
 
 @cache
@@ -203,12 +204,34 @@ class RunCheckpoint:
             return
         plain = json.loads(json.dumps(self._plan))
         other = next((key for key in plain if stored.get(key) != plain[key]), "run")
+        values = stored.get(other), plain.get(other)
+        if other == "versions":
+            values = _differing(*values)
         there, here = (
             text if len(text := json.dumps(value)) <= 60 else f"…{plain_data.digest(value)[:8]}"
-            for value in (stored.get(other), plain.get(other))
+            for value in values
         )
+        remedy = ": give its command to resume it"
+        if other in _PROGRAM:
+            remedy = (
+                ", begun with another version of rendezvous or of its packages: finish it with "
+                "that version"
+            )
         raise UserError(
             f"{self.folder} holds an unfinished {self._what} of other {other} ({there}, here "
-            f"{here}): give its command to resume it, --overwrite to throw it away, or another "
-            f"folder than --out {given}"
+            f"{here}){remedy}, --overwrite to throw it away, or another folder than --out {given}"
         )
+
+
+def _differing(*tables: Any) -> tuple[Any, ...]:
+    """Tables without their common items."""
+    if not all(isinstance(table, dict) for table in tables):
+        return tables
+    return tuple(
+        {
+            key: value
+            for key, value in table.items()
+            if any(key not in other or other[key] != value for other in tables)
+        }
+        for table in tables
+    )

@@ -108,6 +108,36 @@ def test_other_command_or_program_is_rejected(tmp_path, monkeypatch):
         with pytest.raises(UserError, match=f"an unfinished verification of other {field}") as no:
             checked(config(tmp_path, **changes))
         assert "--overwrite" in str(no.value) and contents(tmp_path) == before
+        remedy = "give its command to resume it" if changes else "finish it with that version"
+        assert remedy in str(no.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"format_version": 5}, r"format_version \(5, here \d+\)"),
+        (
+            {"versions": {"numpy": "1.0", "scipy": "2"}},
+            r'versions \({"numpy": "1.0"}, here {"numpy": "3"}\)',
+        ),
+        ({"source": "of then"}, r'source \("of then", here "of now"\)'),
+    ],
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_run_of_another_version_is_to_be_finished_with_that_version(changes, field, seed, tmp_path):
+    """Whether or not the command is the same."""
+    now = {"format_version": 7, "versions": {"numpy": "3", "scipy": "2"}, "source": "of now"}
+    before = resume.RunCheckpoint(tmp_path / "part", {**now, **changes, "seed": 0}, "test")
+    with before.at_work(tmp_path, Console(), fresh=False):
+        before.save("one", 1)
+    after = resume.RunCheckpoint(tmp_path / "part", {**now, "seed": seed}, "test")
+    message = (
+        f"an unfinished test of other {field}, begun with another version of rendezvous or of its "
+        "packages: finish it with that version, --overwrite to throw it away"
+    )
+    with pytest.raises(UserError, match=message), after.at_work(tmp_path, Console(), fresh=False):
+        pass
+    assert before.load("one") == 1
 
 
 @pytest.mark.parametrize("first", [None, 0, 2**40])
