@@ -26,7 +26,7 @@ from rendezvous_env.baselines.learned.onnx_network import (
     digest_of,
 )
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
-from rendezvous_env.baselines.robot_policy import RobotPolicy, of_one_robot
+from rendezvous_env.baselines.robot_policy import RobotPolicy, check_one_robot, of_one_robot
 from rendezvous_env.baselines.trained_policy import TrainedPolicy
 
 from rendezvous_env.scenario.scenario import Scenario
@@ -66,7 +66,8 @@ class Config(Flags):
     """Name or TOML file of the scenario that defines the robot. An ONNX file fits all robots of
     that robot model."""
     robot: Annotated[int | None, Bounds(0, 10**4)] = None
-    """With --standalone: index of the robot, needed where models or limits of robots differ."""
+    """Index of the robot, needed where models of robots differ; with --standalone also where their
+    limits differ."""
     checks: Annotated[int, Bounds(1, 10**7)] = 10_000
     """Number of random inputs on which the file is compared with the policy before it is
     written."""
@@ -99,10 +100,12 @@ def _write_onnx(config: Config, path: Path) -> str:
     """Write and check an ONNX file; returns a message with size and error."""
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
-    scenario = policies.resolve_scenario(config.scenario)
-    network = _network_of(config.policy, scenario)
+    _, scenario, name = _of_robot(config)
+    network = _network_of(name, scenario)
     if network is None:
         return _write_model(config, path, scenario)
+    with user_error(f"--policy {config.policy}: ", ValueError):
+        check_one_robot(scenario if scenario.mixes_models else scenario.of_robot(0))
     prepare_file(path, "--out")
     with atomic(path) as temporary:
         temporary.write_bytes(model_of(*network).SerializeToString())
@@ -113,6 +116,13 @@ def _write_onnx(config: Config, path: Path) -> str:
         f", {size / 1e3:.0f} kB; on {config.checks} drawn inputs it differs by {apart:.1e} of the "
         "largest preference"
     )
+
+
+def _of_robot(config: Config) -> tuple[Scenario, Scenario, str]:
+    """As ``of_one_robot``, for the robot of the command."""
+    team = policies.resolve_scenario(config.scenario)
+    with user_error(f"--robot {config.robot}: ", ValueError):
+        return of_one_robot(team, config.policy, config.robot)
 
 
 def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
@@ -139,9 +149,7 @@ def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
 def _write_python(config: Config, path: Path) -> str:
     """Write and check a standalone Python file; returns a message."""
     policies.check_names([config.policy])
-    team = policies.resolve_scenario(config.scenario)
-    with user_error(f"--robot {config.robot}: ", ValueError):
-        own, scenario, name = of_one_robot(team, config.policy, config.robot)
+    own, scenario, name = _of_robot(config)
     network, build = _network_of(name, scenario), None
     if policies.is_user_policy(name):
         build = policies.find_function(name)

@@ -160,6 +160,34 @@ class TestErrors:
         said = one_line("export", "--policy", f"learned:{exported / 'learned.onnx'}")
         assert "learned.onnx: is exported already" in said
 
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["--scenario", "mixed-8", "--robot", "99"], "--robot 99: robot is 99; it must be an"),
+            (["--robot", "8"], "--robot 8: robot is 8; it must be an integer"),
+            (["--scenario", "mixed-8"], "scenario has a list of robot_model; a RobotPolicy needs"),
+            (["--scenario", "double.toml"], "a RobotPolicy steers single"),
+        ],
+    )
+    def test_onnx_export_rejects_robots_without_this_policy(
+        self, words, message, one_line, tmp_path, monkeypatch
+    ):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "double.toml").write_text('robot_model = "double_integrator"')
+        assert message in one_line("export", "--out", "x.onnx", *words)
+        assert [path.name for path in tmp_path.iterdir()] == ["double.toml"]
+
+    @pytest.mark.parametrize("robot", [0, 7])
+    def test_onnx_file_of_a_robot_of_a_mixed_team_is_that_of_its_model(self, robot, tmp_path):
+        """In this team robots 0 to 3 are holonomic, the others unicycles."""
+        mixed = rv.scenarios.get("mixed-8")
+        paths = tmp_path / "mixed.onnx", tmp_path / "uniform.onnx"
+        alone = "unicycle-6" if mixed.of_robot(robot).model.nonholonomic else "clutter-8"
+        for path, words in zip(paths, (["mixed-8", "--robot", str(robot)], [alone]), strict=True):
+            words = ["export", "--out", str(path), "--checks", "10", "--scenario", *words]
+            assert cli.main(words) == 0
+        assert paths[0].read_bytes() == paths[1].read_bytes()
+
     def test_export_keeps_old_file_if_check_fails(self, monkeypatch, one_line, tmp_path):
         path, made = tmp_path / "policy.onnx", export.model_of
         path.write_bytes(before := f"before, {SETTINGS_KEY}".encode())

@@ -128,6 +128,59 @@ def test_file_of_a_robot_of_a_mixed_team_is_that_of_its_model(robot, tmp_path, c
     assert np.linalg.norm(command) > 0.1
 
 
+def read_of_scenarios(text):
+    """Attributes of ``scenario`` and ``self.scenario`` that a program reads."""
+    owners = ("scenario", "team", "own")
+    return {
+        node.attr
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Attribute)
+        and getattr(node.value, "id", getattr(node.value, "attr", None)) in owners
+    }
+
+
+NOT_OF_ONE_ROBOT = {
+    "mixes_models": "after `for_each and`, of lists of robots, or in messages",
+    "sensing_graph": "in a message about other observations",
+    "neighbour_slots": "in the same message",
+}
+"""Attributes that no robot of a file reads, and where they stand."""
+
+
+@pytest.mark.parametrize(
+    ("policy", "name"),
+    [
+        ("bearing-only", "clutter-12"),
+        ("tangent-joined", "clutter-12"),
+        ("learned-tank", "unicycle-6"),
+        ("learned", "unicycle-clutter-8"),
+        ("learned-tank", "uav-clutter-16"),
+        ("search-and-pursue", "utias-5"),
+    ],
+)
+def test_scenario_of_a_file_has_every_attribute_that_is_read(exported, policy, name):
+    path = exported(policy, name)
+    read, team = read_of_scenarios(path.read_text(encoding="utf-8")), standalone.load(path).TEAM
+    assert {"tau", "n_robots", "observation_layout"} <= read
+    assert read - vars(team).keys() - NOT_OF_ONE_ROBOT.keys() == set()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", rv.scenarios.names())
+def test_every_policy_of_a_robot_is_exported_for_every_scenario(name, tmp_path):
+    scenario, count = rv.scenarios.get(name), 0
+    robots = [0, scenario.n_robots - 1] if scenario.mixes_models else [None]
+    for robot in robots:
+        own = scenario if robot is None else scenario.of_robot(robot)
+        for policy in baselines.names(own):
+            if baselines.policy.kind_of(policy) in ("law", "rule", "learned"):
+                words = ["--policy", policy, "--standalone", str(tmp_path / f"{count}.py")]
+                words += ["--checks", "20"] + ["--robot", str(robot)] * (robot is not None)
+                assert cli.main(["export", *words, "--scenario", name]) == 0, policy
+                count += 1
+    assert count > 3
+
+
 class TestAgreement:
     @pytest.mark.parametrize(
         ("policy", "name", "steps"),
