@@ -13,6 +13,7 @@ from .limits import LARGEST, SMALLEST
 from .suggestions import closest_match
 
 _MAX_DIFFERING = 3
+_MAX_CHARACTERS = 60
 
 
 class UnknownFieldError(TypeError, ValueError):
@@ -55,7 +56,7 @@ def raise_other_scenario(
     ``own`` and ``here`` are the names of the scenarios; ``differing`` has the values by field.
     """
     values = [
-        f"{name} is {short_repr(now)} instead of {short_repr(made)}"
+        f"{name} is {_abridged(now)} instead of {_abridged(made)}"
         for name, (made, now) in list(differing.items())[:_MAX_DIFFERING]
     ]
     others = f" and {left} more" if (left := len(differing) - _MAX_DIFFERING) > 0 else ""
@@ -63,6 +64,12 @@ def raise_other_scenario(
         f"policy is {policy}, made for {own!r}; in {here!r} {', '.join(values)}{others}: make the "
         "policy with this scenario"
     )
+
+
+def _abridged(value: Any) -> str:
+    """As ``short_repr``, at most 60 characters."""
+    text = short_repr(value)
+    return text if len(text) <= _MAX_CHARACTERS else f"{text[: _MAX_CHARACTERS - 1]}…"
 
 
 def format_limit(limit: float) -> str:

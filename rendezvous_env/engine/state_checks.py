@@ -311,8 +311,12 @@ def check_observations(value: Any, shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> NDArray[Any]:
-    """Array of float32 or float64 of a shape with ``axes`` as names; ValueError otherwise."""
-    array = np.asarray(value)
+    """Array of float32 or float64 of a shape with ``axes`` as names, in C order.
+
+    Raises:
+        ValueError: for another shape or type.
+    """
+    array = np.asarray(value, order="C")  # kernels read and write flat views
     check_shape(name, array, shape, axes=axes)
     if array.dtype not in _FLOATS:
         raise ValueError(f"{name} are {array.dtype}; they must be float32 or float64")

@@ -167,7 +167,7 @@ class RendezvousJaxEnv:
         Args:
             seed: an integer s, for s + i in environment i, or a sequence of B. Initial conditions
                 are then those of the engine. A JAX key samples a seed for each environment; a JAX
-                array of two uint32 is always a key.
+                array of two uint32 is always a key. Under ``jit`` and ``vmap`` it is a key.
 
         Returns:
             Observations (n, rows, d), or (B, n, rows, d), and the state.
@@ -183,6 +183,12 @@ class RendezvousJaxEnv:
             or (seed.dtype == jnp.uint32 and seed.shape == (2,))
         ):
             return jax.random.bits(seed, (2, *self._batch), jnp.uint32)
+        if isinstance(seed, jax.core.Tracer):
+            raise_invalid(
+                "seed",
+                seed,
+                "a JAX key under jit and vmap, as of jax.random.split(jax.random.key(0), 8)",
+            )
         given = np.asarray(seed) if isinstance(seed, jax.Array) else seed
         seeds = seeds_of_environments(given, self.num_envs or 1)
         if seeds is None or None in seeds:  # an environment has no seed to keep, as in the engine

@@ -45,10 +45,10 @@ def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
             own or max(values) if _sees_all_round(sensor) else own
             for own, sensor in zip(values, sensors, strict=True)
         ]
-    for robot, value in enumerate(values):
-        if name in PER_ROBOT and isinstance(value, tuple):
+    for robot, (value, sensor) in enumerate(zip(values, sensors, strict=True)):
+        if name in PER_ROBOT and (given := sensor.list_given(name)) is not None:
             wanted = "one number in a list of sensors, that of its robot"
-            checks.raise_invalid(f"{field}[{robot}].{name}", list(value), wanted)
+            checks.raise_invalid(f"{field}[{robot}].{name}", given, wanted)
         if name not in PER_ROBOT and value != values[0]:
             raise ValueError(
                 f"{field}[{robot}].{name} is {checks.short_repr(value)}; it must be "

@@ -45,7 +45,10 @@ def _check_ranges(field: str, value: Any) -> Any:
     def one(field: str, value: Any) -> float | None:
         if value is None or (isinstance(value, str) and value == UNLIMITED):
             return None
-        return checks.positive(field, value, unit="m")
+        try:
+            return checks.positive(field, value, unit="m")
+        except ValueError as error:
+            raise ValueError(f"{error}, or None for no limit") from None
 
     if checks.is_sequence(value):
         return checks.one_or_each(field, value, one, "m")
@@ -272,17 +275,22 @@ class Sensing:
         given = getattr(self, field)
         return float(self.each(field, len(given) if isinstance(given, tuple) else 1).max())
 
+    def list_given(self, field: str) -> list[Any] | None:
+        """The list that a field of ``PER_ROBOT`` was given as; None if one value for all robots."""
+        own, lengths = getattr(self, field), getattr(self, "_lengths", {})
+        if isinstance(own, tuple):
+            return [*own]
+        return [own] * lengths[field] if field in lengths else None
+
     def delay_steps(self, tau: float) -> int:
         """Delay in whole steps of tau, s."""
         return self.delay or math.floor(self.delay_time / tau + 0.5)
 
     def check_fits(self, n_robots: int, tau: float) -> None:
         """Reject values that do not fit the number of robots or the step tau, s."""
-        lengths: dict[str, int] = getattr(self, "_lengths", {})
-        for name, length in lengths.items():
-            if length != n_robots:
-                own = getattr(self, name)
-                given = [*own] if isinstance(own, tuple) else [own] * length
+        for name in PER_ROBOT:
+            given = self.list_given(name)
+            if given is not None and len(given) != n_robots:
                 remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"
                 checks.raise_invalid(f"sensing.{name}", given, remedy)
         if self.delay_steps(tau) > MAX_DELAY:

@@ -219,7 +219,7 @@ class TestAgreement:
                 one.reset()
             for *seen, told in episode:
                 action = robot.act(*seen, **told)
-                if not len(seen[0]):
+                if not len(seen[0]) and "search" not in policy:
                     assert not action.any()
                 worst = max(worst, np.abs(file.act(*seen, **told) - action).max())
         assert worst < 1e-5

@@ -135,6 +135,12 @@ def test_sensors_that_are_equal_are_one():
     assert PLANE.replace(sensing=[rv.Sensing()] * 5) == PLANE
 
 
+def test_sensor_of_one_robot_takes_no_list_even_of_equal_values():
+    sensors = [rv.Sensing(noise=[0.1] * 5), *[rv.Sensing()] * 4]
+    with pytest.raises(ValueError, match=r"sensing\[0\].noise is \[0.1, .*one number in a list"):
+        PLANE.replace(sensing=sensors)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -144,7 +150,7 @@ def test_sensors_that_are_equal_are_one():
         ({"dropout": [0.1, 0.2]}, "sensing.dropout is .*5 numbers, one for each robot"),
         ({"min_range": [0.0, -1.0]}, r"sensing.min_range\[1\] is -1.0; it must be a finite"),
         ({"field_of_view": [1.0, 7.0]}, r"sensing.field_of_view\[1\] is 7.0; it must be a pos"),
-        ({"range": [1.0, "far"]}, r"sensing.range\[1\] is 'far'; it must be a positive"),
+        ({"range": [1.0, "far"]}, r"sensing.range\[1\] is 'far'; .* m, or None for no limit$"),
         ({"noise": []}, r"sensing.noise is \[\]; it must be one value, or a list"),
         ({"view_falloff": 0.1, "field_of_view": [7.0]}, r"field_of_view\[0\]"),
     ],

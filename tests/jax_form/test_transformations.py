@@ -103,6 +103,20 @@ def test_a_key_draws_seeds_of_its_own(rj):
     assert same.positions.shape == one.positions.shape
 
 
+def test_traced_seeds_are_refused_and_traced_keys_accepted(rj):
+    import jax
+    import jax.numpy as jnp
+
+    env = rj.make("cloud-8", **SMALL)
+    for reset in (jax.vmap(env.reset), jax.jit(env.reset)):
+        with pytest.raises(
+            ValueError, match=r"seed is .*; it must be a JAX key under jit and vmap"
+        ):
+            reset(jnp.arange(4))
+    observations, _ = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 4))
+    assert observations.shape == (4, *env.reset(0)[0].shape)
+
+
 def test_float32_starts_agree_to_its_precision(rj):
     import jax
 

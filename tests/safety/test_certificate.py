@@ -114,6 +114,21 @@ def test_certificate_is_refused_with_reason(by, scenario, words):
     assert re.match(f"none.*{words}", found.theorem)
 
 
+@pytest.mark.parametrize(
+    ("push", "words"),
+    [("push", "obstacles move and push robots"), ("stop", "obstacles move and stop at robots")],
+)
+def test_message_about_moving_obstacles_states_their_effect(push, words):
+    car = rv.Moving(rv.Disc((0, 0), 0.6), velocity=(0.5, 0))
+    found = certificate(Scenario(obstacles=[car], obstacle_push=push), 0.5, by="tank")
+    assert not found.guaranteed and found.theorem.startswith(f"none: {words}")
+
+
+def test_message_about_a_long_step_rounds_the_certified_step_down():
+    scenario = Scenario(n_robots=4, time_step=1.0, allow_long_step=True)  # r/(2D̄) = 1/30 s
+    assert "longer than the certified 0.0333333 s;" in certificate(scenario).theorem
+
+
 def test_tank_bounds_v_without_time_bound():
     v0, w = 20 * 10 * math.sqrt(2), 10
     for scenario, places, words in (

@@ -188,6 +188,25 @@ def test_observations_of_other_types_are_converted(made, dim):
     np.testing.assert_array_equal(found[2], found[0])
 
 
+@pytest.mark.kernels
+@pytest.mark.parametrize("kind", ["single_integrator-2d", "single_integrator-3d"])
+@pytest.mark.parametrize("made", [HeadingFilter, EnergyTank])
+def test_observations_in_any_memory_order_are_filtered_alike(made, kind):
+    """Every second row of a longer array, and Fortran order."""
+    wanted = None
+    for order in (
+        np.ascontiguousarray,
+        lambda rows: np.repeat(rows, 2, 2)[:, :, ::2],
+        np.asfortranarray,
+    ):
+        filtered, observations, _ = begun(made, kind, 3)
+        given = order(observations)
+        np.testing.assert_array_equal(given, observations)
+        seen = filtered.observe(given)
+        wanted = seen if wanted is None else wanted
+        np.testing.assert_array_equal(seen, wanted)
+
+
 def test_filter_apply_takes_choices_and_keeps_them():
     """Equal to ``hold`` followed by ``apply`` without choices."""
     scenario = scenarios.get("fig3")

@@ -125,6 +125,16 @@ def test_certificate_refuses_a_policy_of_another_scenario():
         rv.certificate(RING, policy=policy)
 
 
+def test_certificate_refuses_a_policy_of_other_initial_conditions_in_few_words():
+    policy = baselines.make("bearing-only", RING)
+    given = RING.replace(start_positions=np.arange(24.0).reshape(12, 2) / 7)
+    with pytest.raises(
+        ValueError, match=r"start_positions is \(\(0\.0, .*… instead of None"
+    ) as caught:
+        rv.certificate(given, policy=policy)
+    assert len(str(caught.value)) < 200
+
+
 @pytest.mark.parametrize("wrong", ["bearing-only", 3])
 def test_certificate_refuses_what_is_no_policy(wrong):
     with pytest.raises(TypeError, match=r"policy is .*baselines\.make"):

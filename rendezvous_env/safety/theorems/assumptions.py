@@ -14,7 +14,7 @@ from ...sensors.sensing import Sensing
 from ..gains import gain_range
 from ..settings import is_complete
 from . import constants as known
-from .theorem import ROUNDED, Asked, Assumption
+from .theorem import ROUNDED, Asked, Assumption, at_least
 
 _LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-47
 _FAR_OUT_MOVE, _FAR_OUT_GAIN = 2.0**-46, 2.0**-51
@@ -293,8 +293,8 @@ def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
         return ""
     return (
         f"none for law (1) as it stands: the step {scenario.tau:.6g} s is longer than the "
-        f"certified {scenario.certified_step} s; certified headings scale the velocity "
-        "and are covered"
+        f"certified {at_least(scenario.certified_step, 6)} s; certified headings scale the "
+        "velocity and are covered"
     )
 
 
@@ -425,10 +425,10 @@ def still_obstacles(scenario: Scenario, asked: Asked) -> str:
     """Obstacles stand still, or robots pass through them."""
     if not moves(scenario.obstacles) or scenario.obstacle_contact == "ignore":
         return ""
-    return (
-        "none: obstacles move and push robots, which may raise V and tear links; no theorem covers "
-        "it: make them still, or obstacle_contact 'ignore'"
-    )
+    found = "push robots, which may raise V and tear links; no theorem covers it"
+    if scenario.obstacle_push == "stop":
+        found = "stop at robots; no theorem covers moving obstacles in contact with robots"
+    return f"none: obstacles move and {found}: make them still, or obstacle_contact 'ignore'"
 
 
 IN_STEPS = (rows_for_all, outlasts_rounding)
