@@ -32,7 +32,7 @@ def test_run_fails_and_names_kernels_that_never_ran():
         capture_output=True, text=True, cwd=ROOT, env=environment, timeout=900,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
-    assert "passed" in done.stdout and "failed" not in done.stdout
+    assert "4 passed in" in done.stdout  # names of kernels may hold "failed"
     lost = [line.split()[-1] for line in done.stdout.splitlines() if "never ran: " in line]
     assert "train.learn.sets.pool" not in lost
     assert any(name.startswith("rendezvous_env.physics.") for name in lost)
