@@ -61,14 +61,14 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
     return min_alignment * min_alignment * duration * scale * strength * strength
 
 
-@inner_kernel(inline="code")
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     """Velocity of law (4) along the desired line, a pair or triple, m/s, with the required
     decrease.
 
         v = s max(0, hᵀf − e) h,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖
 
-    ``wanted`` has any length; the direction is f/‖f‖ if it is zero. f is not zero.
+    ``wanted`` has any length; the direction is f/‖f‖ if it is zero. f is not zero. The kernel of
+    tanks splits both vectors in loops of their own and calls ``_law``.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
     h = h if length > 0.0 else towards
