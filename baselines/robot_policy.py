@@ -179,14 +179,10 @@ def _check_controls(team: Scenario, own: Scenario, robot: int | None) -> None:
             f"policy controls robots with a list of {team.per_robot[0]}; pass the scenario of the "
             "policy, and robot=i"
         )
-    shapes = [
-        (one.n_robots, one.dim, layout.neighbour_slots, layout.obstacle_slots)
-        for one in (team, own)
-        for layout in (one.observation_layout,)
-    ]
-    if shapes[0] != shapes[1]:
+    its_sizes, own_sizes = _sizes_of(team), _sizes_of(own)
+    if its_sizes != own_sizes:
         names = "robots, dimension, neighbour slots and obstacle slots"
-        raise ValueError(f"policy is for {shapes[0]} {names}, the robot for {shapes[1]}; {remedy}")
+        raise ValueError(f"policy is for {its_sizes} {names}, the robot for {own_sizes}; {remedy}")
     its = team.of_robot(robot or 0)
     if its.robot_model != own.robot_model:
         raise ValueError(
@@ -195,6 +191,12 @@ def _check_controls(team: Scenario, own: Scenario, robot: int | None) -> None:
     if robot is not None and (its.action_bounds > own.action_bounds).any():
         limits = its.action_bounds.tolist(), own.action_bounds.tolist()
         raise ValueError(f"policy has the limits {limits[0]}, the robot {limits[1]}; {remedy}")
+
+
+def _sizes_of(scenario: Scenario) -> tuple[int, int, int, int]:
+    """Numbers of robots, dimensions, neighbour slots and obstacle slots."""
+    layout = scenario.observation_layout
+    return scenario.n_robots, scenario.dim, layout.neighbour_slots, layout.obstacle_slots
 
 
 def check_one_robot(scenario: Scenario) -> None:

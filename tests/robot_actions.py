@@ -8,6 +8,22 @@ import baselines
 import rendezvous_env as rv
 
 
+def neighbour_reading(
+    seen, i: int, senses_gravity: bool
+) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+    """Bearings and other arguments of ``act`` of robot i, from the split rows of a team.
+
+    None for a merged robot that senses gravity.
+    """
+    rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
+    told = {"weights": np.linalg.norm(rows, axis=-1)}
+    if senses_gravity:
+        if not seen.gravity[i].any():
+            return None
+        told["gravity"] = seen.gravity[i]
+    return rows / told["weights"][:, None], told
+
+
 def single_and_batch(
     policy: baselines.Policy, robot: baselines.RobotPolicy, steps: int = 250
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:

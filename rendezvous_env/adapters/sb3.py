@@ -18,8 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from ..checks import check_int, check_shape, counted, floats, mapping
 from ..deprecation import renamed_arguments
 from ..engine.state_checks import check_entries, check_keys, refuse_first
-from ..envs.agents import component_mask
-from ..envs.guarantee import layers_of
+from ..envs.guarantee import component_mask, layers_of
 from ..envs.gymnasium_env import make_vec
 from ..rewards.terms import earned_in_episode
 from ..scenario.start_options import check_seed

@@ -49,7 +49,7 @@ from ..robots.activation import ActivationRules
 from ..robots.events import EventRules
 from ..robots.motion import frame_turns
 from ..sensors.imperfections import Imperfections, Views
-from .memory import RUNNING, Robot
+from .memory import Robot, is_near
 from .memory_layout import Scratch
 from .preparation import Constants, Sensor
 from .stages.apply_effects import apply_effects, turn_observers, turn_silhouettes
@@ -130,10 +130,8 @@ class StepStages:
 
     def any_near(self) -> bool:
         """True if a contact is possible in the next step, see ``is_near``."""
-        square, clearance = self._reach
-        near = self._state.statistic("square_closest") < square
-        near |= self._state.statistic("clearance") < clearance
-        return bool((near & (self._state.statistic("status") == RUNNING)).any())
+        lanes = self._state.lanes
+        return bool(is_near(self._state.environments.T, np.arange(lanes), lanes, self._reach).any())
 
     def calls(
         self,

@@ -13,7 +13,7 @@ from ..engine.step import first_not_finite
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
 from ..state_view import STANDING
-from .guarantee import layers_of
+from .guarantee import component_mask
 from .spaces import of_one_robot
 from .vector_env import SingleEnvMixin
 
@@ -150,13 +150,6 @@ class BaseParallelEnv(
         if not self.simulator.begun:
             raise RuntimeError("call reset() before step()")
         return not self.agents and isinstance(actions, Mapping) and not actions
-
-
-def component_mask(teams: Any) -> NDArray[np.bool_] | None:
-    """True for action components that a robot has, (n, a), under a filter too; None if all are."""
-    masks = [layer.action_mask for layer in layers_of(teams) if hasattr(layer, "action_mask")]
-    own: NDArray[np.bool_] | None = masks[0] if masks else teams.unwrapped.scenario.action_mask
-    return None if own is None or own.all() else own
 
 
 def names_of(n_robots: int) -> list[str]:

@@ -53,6 +53,13 @@ def layers_of(env: Any) -> Iterator[Any]:
         env = getattr(env, "aec_env", None) if beneath is None else beneath
 
 
+def component_mask(teams: Any) -> NDArray[np.bool_] | None:
+    """True for action components that a robot has, (n, a), under a filter too; None if all are."""
+    masks = [layer.action_mask for layer in layers_of(teams) if hasattr(layer, "action_mask")]
+    own: NDArray[np.bool_] | None = masks[0] if masks else teams.unwrapped.scenario.action_mask
+    return None if own is None or own.all() else own
+
+
 def settings_of(kind: type[SafetyFilter]) -> list[str]:
     """Names of the settings of a filter."""
     return [name for name in arguments_of(kind)[2:] if name != "num_threads"]

@@ -23,7 +23,7 @@ from ..safety.theorems.certificate import certificate
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import as_options
-from .guarantee import settings_of
+from .guarantee import component_mask, settings_of
 from .gymnasium_env import make_vec
 from .overrides import sorted_overrides
 from .vector_env import Info, RendezvousVectorEnv, Transition, drop_summary, final_value
@@ -264,8 +264,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     @property
     def action_mask(self) -> NDArray[np.bool_] | None:
         """True for action components that a robot has, (n, a); None if all have all."""
-        own = getattr(self.env, "action_mask", self.scenario.action_mask)
-        return None if own.all() else own
+        return component_mask(self.env)
 
     def state(self) -> NDArray[np.float32]:
         """As ``RendezvousVectorEnv.state``."""

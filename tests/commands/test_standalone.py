@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from conftest import run_python
 from parameters import slow
+from robot_actions import neighbour_reading
 
 import baselines
 import rendezvous_env as rv
@@ -63,15 +64,11 @@ def act_along(file, scenario, policy, seed, steps):
             break
         seen = layout.split(step.observations[0].astype(float))
         for i, pair in enumerate(robots):
-            rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
-            told = {"weights": np.linalg.norm(rows, axis=-1)}
+            if (reading := neighbour_reading(seen, i, layout.senses_gravity)) is None:
+                continue
+            bearings, told = reading
             edges = seen.obstacles[i][seen.obstacles[i].any(axis=(1, 2))]
-            seen_now = rows / told["weights"][:, None], edges, scenario.tau
-            if seen.gravity is not None:
-                if not seen.gravity[i].any():  # it has merged
-                    continue
-                told["gravity"] = seen.gravity[i]
-            one, other = (robot.act(*seen_now, **told) for robot in pair)
+            one, other = (robot.act(bearings, edges, scenario.tau, **told) for robot in pair)
             worst, moved = max(worst, np.abs(one - other).max()), moved + np.linalg.norm(one)
     assert count > 30 and moved > 1.0
     return worst

@@ -5,6 +5,7 @@ import pytest
 from conftest import LAWS
 from geometry import along
 from parameters import slow
+from robot_actions import neighbour_reading
 from scipy.optimize import linear_sum_assignment
 
 import baselines
@@ -108,13 +109,11 @@ def test_robots_of_a_mixed_team_act_as_in_the_team(scenario):
     for step in run(simulator, team, simulator.reset(3)):
         seen = layout.split(step.observations[0].astype(float))
         for i, robot in enumerate(robots):
-            rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
-            told = {"weights": np.linalg.norm(rows, axis=-1)}
-            if robot.scenario.observation_layout.senses_gravity:
-                if not seen.gravity[i].any():  # it has merged
-                    continue
-                told["gravity"] = seen.gravity[i]
-            action = robot.act(rows / told["weights"][:, None], dt=scenario.tau, **told)
+            senses_gravity = robot.scenario.observation_layout.senses_gravity
+            if (reading := neighbour_reading(seen, i, senses_gravity)) is None:
+                continue
+            bearings, told = reading
+            action = robot.act(bearings, dt=scenario.tau, **told)
             np.testing.assert_allclose(action, step.actions[0, i], atol=3e-6)
             assert (np.abs(action) <= scenario.robot_bounds[i]).all()
             moved += abs(action[0]) > 0.1
@@ -168,13 +167,11 @@ def assert_robots_act_as_team(scenario, robots, team, steps=60):
             break
         seen = layout.split(step.observations[0].astype(float))
         for i, robot in enumerate(robots):
-            rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
-            told = {"weights": np.linalg.norm(rows, axis=-1)}
-            if robot.scenario.observation_layout.senses_gravity:
-                if not seen.gravity[i].any():  # it has merged
-                    continue
-                told["gravity"] = seen.gravity[i]
-            action = robot.act(rows / told["weights"][:, None], dt=scenario.tau, **told)
+            senses_gravity = robot.scenario.observation_layout.senses_gravity
+            if (reading := neighbour_reading(seen, i, senses_gravity)) is None:
+                continue
+            bearings, told = reading
+            action = robot.act(bearings, dt=scenario.tau, **told)
             np.testing.assert_allclose(action, step.actions[0, i, : sizes[i]], atol=2e-6)
             moved += np.linalg.norm(action)
     assert moved > 20
