@@ -67,6 +67,18 @@ def _turns(model):
 
 
 @kernel(inline="code")
+def _leading(values, names):
+    """As many entries of a tuple, from the first on, as another one has, at most three."""
+    if len(names) == 0:
+        return ()
+    if len(names) == 1:
+        return (values[0],)
+    if len(names) == 2:
+        return values[0], values[1]
+    return values[0], values[1], values[2]
+
+
+@kernel(inline="code")
 def _part(values, places):
     """Entries of a tuple, at most five."""
     if len(places) == 0:
@@ -162,32 +174,32 @@ def _by_member(equation: Any) -> Any:
 @kernel(inline="code")
 def _propose_as(member, inputs, kept, given):
     _, action, frame, memory = given
-    return propose(member, _part(action, inputs), frame, _part(memory, kept))
+    return propose(member, _leading(action, inputs), frame, _part(memory, kept))
 
 
 @kernel(inline="code")
 def _displacement_as(member, inputs, kept, given):
     _, action, frame, memory, time = given
-    return displacement_at(member, _part(action, inputs), frame, _part(memory, kept), time)
+    return displacement_at(member, _leading(action, inputs), frame, _part(memory, kept), time)
 
 
 @kernel(inline="code")
 def _chord_error_bound_as(member, inputs, kept, given):
     _, action, memory = given
-    return chord_error_bound(member, _part(action, inputs), _part(memory, kept))
+    return chord_error_bound(member, _leading(action, inputs), _part(memory, kept))
 
 
 @kernel(inline="code")
 def _period_as(member, inputs, kept, given):
     _, action, memory = given
-    return period(member, _part(action, inputs), _part(memory, kept))
+    return period(member, _leading(action, inputs), _part(memory, kept))
 
 
 @kernel(inline="code")
 def _update_as(member, inputs, kept, given):
     _, action, frame, memory, displacement, contact = given
     own = _part(memory, kept)
-    after = update_memory(member, _part(action, inputs), frame, own, displacement, contact)
+    after = update_memory(member, _leading(action, inputs), frame, own, displacement, contact)
     return _replaced(memory, kept, after)
 
 
@@ -287,6 +299,45 @@ def _sense(model, frame, memory):
     return _sense_by(model.members, model.inputs, model.kept, (model, frame, memory))
 
 
+class _Member(NamedTuple):
+    """Constants of a robot of a team, and which of its models it has."""
+
+    team: MixedTeam
+    model: Any
+    inputs: tuple[int, ...]
+    kept: tuple[int, ...]
+
+
+@kernel(inline="code")
+def _run_with(member, inputs, kept, given):
+    team, run, arguments = given
+    return run(_Member(team, member, inputs, kept), arguments)
+
+
+_run_by = _by_member(_run_with)
+
+
+@kernel(inline="code")
+def _for_member(model, run, given):
+    return _run_by(model.members, model.inputs, model.kept, (model, run, given))
+
+
+@kernel(inline="code")
+def _propose_member(one, action, frame, memory):
+    return _propose_as(one.model, one.inputs, one.kept, (one.team, action, frame, memory))
+
+
+@kernel(inline="code")
+def _update_member(one, action, frame, memory, displacement, contact):
+    given = one.team, action, frame, memory, displacement, contact
+    return _update_as(one.model, one.inputs, one.kept, given)
+
+
+@kernel(inline="code")
+def _frame_member(one, frame, memory):
+    return _frame_as(one.model, one.inputs, one.kept, (one.team, frame, memory))
+
+
 @kernel(inline="code")
 def _is_steady(model):
     return model.is_steady > 0.0
@@ -311,7 +362,9 @@ describe(
     ),
     of_robot=_of_robot,
     is_steady=_is_steady,
+    for_member=_for_member,
 )
+describe(_Member, Motion(propose=_propose_member, update=_update_member, frame=_frame_member))
 
 
 def _kept_besides(model: RobotModel, dim: int) -> int:
