@@ -38,7 +38,7 @@ def mean_direction(heading, swept):
     """``mean_cos_sin`` from a pair (cos a, sin a)."""
     half = 0.5 * swept
     cos_half, sin_half = cos_sin(half)
-    ratio = 1.0 if half == 0.0 else sin_half / half
+    ratio = 1.0 if abs(half) < 1e-8 else sin_half / half
     mean_cos, mean_sin = ratio * cos_half, ratio * sin_half
     c, s = heading
     return mean_cos * c - mean_sin * s, mean_cos * s + mean_sin * c
