@@ -223,7 +223,7 @@ class StepStages:
                     *blocks,
                     mode,
                     *now,
-                    state.obstacles,
+                    state.tables,
                     state.index,
                     work.near,
                     work.near_listed,
@@ -317,7 +317,7 @@ class StepStages:
         late = _ROWS, _OUTPUT.clearance
         if state.index is not None:
             slots = place.scenario.observation_layout.obstacle_slots
-            near = state.obstacles, state.index
+            near = state.tables, state.index
             lists = work.silhouette, work.near_listed, work.near_distances
             rest = place.neighbours, slots, *given, *near, *lists
             yield sense_indexed, robot.entries, *blocks, *rest, *late
