@@ -71,7 +71,7 @@ class MemoryLayout:
         """
         sensing, n = self.scenario.sensing, self.scenario.n_robots
         pairs, silhouettes = n * (n - 1), n * self.n_obstacles * self.points
-        remembers = sensing.persistence > 0.0
+        remembers = sensing.largest("persistence") > 0.0
         drifts = draws_noise(sensing) and sensing.noise_correlation > 0.0
         held = self.scenario.observation_layout.obstacles.stop * (sensing.sample_period > 0.0)
         return pairs * remembers, (pairs + silhouettes) * drifts, held

@@ -61,7 +61,8 @@ class State:
         tables = np.repeat(table[None], self.batch + shared, axis=0)
         self.tables = obstacle_set.world_of(tables, place.only_balls)
         """Obstacles of each environment; with an index, also those of the scenario, last."""
-        self.obstacles = type(self.tables)(*(array[: self.batch] for array in self.tables))
+        own: Any = slice(self.batch)
+        self.obstacles = type(self.tables)(*(array[own] for array in self.tables))
         """Obstacles, with a leading axis B; empty without slots."""
         self.index = self._empty_index(len(tables), slots) if place.indexed else None
         """Spatial index of the tables of many obstacles, or None."""

@@ -59,8 +59,8 @@ def stop_at_obstacles(
 ):
     """Replace straight displacements by those that obstacles allow.
 
-    ``index`` of the tables of obstacles may be None. Working memory: normals (2M, 3), and with an index near and listed, see
-    ``spatial_index.obstacles_within``.
+    ``index``, of the tables of obstacles, may be None. Working memory: normals (2M, 3), and with an
+    index near and listed, see ``spatial_index.obstacles_within``.
     """
     n = robots.shape[1]
     for block in range(first, last):
