@@ -6,7 +6,9 @@ import pickle
 import pytest
 
 import rendezvous_env as rv
+from baselines import observation_builder, robot_sight
 from rendezvous_env.deprecation import RenamedKeys, renamed_arguments, renamed_attribute
+from rendezvous_env.envs import training
 from train.learn.settings import Config
 
 NUM_ENVS = pytest.warns(DeprecationWarning, match="num_teams is called num_envs now")
@@ -79,10 +81,10 @@ def test_training_env_accepts_touch_penalty():
     with PENALTY:
         envs = rv.vector.training_env("duo", 2, touch_penalty=0.25, learning_preset=False)
     assert envs.contact_penalty == 0.25
-    with pytest.warns(DeprecationWarning, match="TrainingTeams.touch_penalty is called"):
+    with pytest.warns(DeprecationWarning, match="TrainingVectorEnv.touch_penalty is called"):
         assert envs.touch_penalty == 0.25
     with PENALTY:
-        assert rv.training_env("duo", touch_penalty=0.25).teams.contact_penalty == 0.25
+        assert rv.training_env("duo", touch_penalty=0.25).vector_env.contact_penalty == 0.25
 
 
 def test_make_robots_accepts_num_teams():
@@ -106,3 +108,35 @@ def test_former_name_of_observation_batch_warns():
         assert rv.Seen is rv.ObservationBatch
     with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
         _ = rv.Nothing
+
+
+def test_former_names_of_classes_warn_and_load_from_pickles():
+    with pytest.warns(DeprecationWarning, match="^TrainingTeams is called TrainingVectorEnv now$"):
+        assert training.TrainingTeams is training.TrainingVectorEnv
+    stored = b"crendezvous_env.envs.training\nTrainingTeams\n."
+    with pytest.warns(DeprecationWarning, match="TrainingVectorEnv"):
+        assert pickle.loads(stored) is training.TrainingVectorEnv
+    with pytest.warns(DeprecationWarning, match="baselines.observation_builder.ObservationBuilder"):
+        assert robot_sight.RobotSight is observation_builder.ObservationBuilder
+    with pytest.warns(DeprecationWarning, match="baselines.observation_builder.min_cost_slots"):
+        assert robot_sight.min_cost_slots is observation_builder.min_cost_slots
+    for module in (training, robot_sight):
+        with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
+            _ = module.Nothing
+
+
+def test_former_names_of_vector_environments_warn():
+    env, given = rv.training_env("duo"), pytest.warns(DeprecationWarning, match="^teams is called")
+    with pytest.warns(DeprecationWarning, match="TrainingParallelEnv.teams is called vector_env"):
+        assert env.teams is env.vector_env
+    with pytest.warns(DeprecationWarning, match="TrainingVectorEnv.teams is called unwrapped"):
+        assert env.vector_env.teams is env.vector_env.unwrapped
+    with given:
+        assert type(env)(teams=env.vector_env).vector_env is env.vector_env
+    slots_of = pytest.importorskip("rendezvous_env.adapters.slots").RobotSlots
+    with given:
+        slots = slots_of(teams=rv.vector.training_env("duo", 3))
+    with pytest.warns(DeprecationWarning, match="RobotSlots.num_teams is called batch_size"):
+        assert slots.num_teams == slots.batch_size == 3
+    with pytest.warns(DeprecationWarning, match="RobotSlots.teams is called vector_env"):
+        assert slots.teams is slots.vector_env

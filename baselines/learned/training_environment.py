@@ -42,7 +42,8 @@ class FeatureVectorEnv(GuaranteeWrapper):
     Args:
         env: environments of any robot model but double integrators, in any autoreset mode.
         settings: settings of the trained policy.
-        contact_penalty: penalty for a robot's first contact in an episode, see ``TrainingTeams``.
+        contact_penalty: penalty for a robot's first contact in an episode, as in
+            ``TrainingVectorEnv``.
         own_progress: reward of a robot for its own share of the decrease of V, see ``shares_of``.
         obstacle_slots: as ``Features``, with its errors.
         global_state: features for critics, appended to the observations; None appends none. It has

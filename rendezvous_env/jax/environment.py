@@ -30,7 +30,7 @@ from ..scenario.start_options import seeds_of_environments
 from ..sensors.imperfections import imperfections_of
 from .arrays.array_form import Array, array_form, norm_of
 from .arrays.selection import divided
-from .arrays.some_teams import for_teams
+from .arrays.some_envs import for_envs
 from .coverage import check_covered, raise_not_covered
 from .filters.heading import Heading
 from .filters.tank import Tank
@@ -392,7 +392,7 @@ class RendezvousJaxEnv:
         )
         near = (state.status == RUNNING) & (state.closest < self._reach)
         free = moving._replace(positions=moving.positions + moving.displacements, obstacles=())
-        moved = for_teams(near, self._merge, moving, free, self.differentiable)
+        moved = for_envs(near, self._merge, moving, free, self.differentiable)
         if kept:
             after = self._motion["update"](self._model, inputs, frame, kept, way, met)
             runs = state.status == RUNNING
@@ -427,7 +427,7 @@ class RendezvousJaxEnv:
             return (after.lyapunov, self._closeness(after)), new, {"final_obs": rows}
 
         otherwise = (zero, zero), team, seen
-        last, team, seen = for_teams(ended, renew, state, otherwise, self.differentiable)
+        last, team, seen = for_envs(ended, renew, state, otherwise, self.differentiable)
         state = state.replace(
             **team,
             merged_into=jnp.where(ended, self._robots, state.merged_into),

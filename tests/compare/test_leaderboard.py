@@ -20,8 +20,8 @@ from train.leaderboard import cards as cards_of
 from train.leaderboard import command, registry, tables
 from train.leaderboard.algorithms.ppo import multiplier_of
 from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
+from train.leaderboard.environments import make_training_envs
 from train.leaderboard.playing import Player, play
-from train.leaderboard.teams import make_training_envs
 from train.learn.settings import EVALUATION_SEEDS
 
 SMALL = command.Config(

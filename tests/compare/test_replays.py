@@ -15,8 +15,8 @@ from rendezvous_env.obstacles.shape import RADIUS
 from train.checks import UserError
 from train.leaderboard import cards as cards_of
 from train.leaderboard import command, replays
+from train.leaderboard.environments import make_training_envs
 from train.leaderboard.playing import Player, play
-from train.leaderboard.teams import make_training_envs
 from train.learn.settings import EVALUATION_SEEDS
 from train.recording import MAX_FRAMES
 
@@ -88,7 +88,7 @@ def test_recording_does_not_change_episode():
         np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
         assert len(steps) <= MAX_FRAMES
         assert recording["times"][-1] == pytest.approx(found["time"][team])
-        path = own.teams.unwrapped.simulator.path_length[team]
+        path = own.env.unwrapped.simulator.path_length[team]
         ways = np.linalg.norm(np.diff(recording["positions"], axis=0), axis=-1).sum()
         assert 0.9 * path < ways  # chords of the way, merges aside
         both = recording["active"][:, :2].all(axis=1)

@@ -51,7 +51,7 @@ def test_training_slots_move_obstacles():
     robots.reset()
     for _ in range(10):
         robots.step(np.zeros((robots.num_envs, *robots.action_space.shape), np.float32))
-    simulator = robots.slots.teams.unwrapped.simulator
+    simulator = robots.slots.vector_env.unwrapped.simulator
     assert np.abs(simulator.obstacle_offsets).max() > 0.1
 
 

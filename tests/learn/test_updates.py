@@ -9,9 +9,9 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
+from train.learn.environments import TimedRobotVecEnv, make_environments
 from train.learn.rollout_buffer import Rule, slopes_of
 from train.learn.settings import Config
-from train.learn.teams import TimedRobotVecEnv, make_environments
 from train.learn.trainer import Trainer
 
 STEPS = 40

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from baselines.robot_sight import RobotSight, min_cost_slots
+from baselines.observation_builder import ObservationBuilder, min_cost_slots
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
 
@@ -345,13 +345,13 @@ class TestTime:
         assert tank.levels[0, 0] == pytest.approx(begun + 0.25 * (full - begun), rel=1e-12)
 
 
-class TestSight:
+class TestObservationBuilder:
     A, B, C = along(40, 20), along(80, 60), along(-100, -120)
 
     def shown(self, *looks):
         """Obstacle slots after each tick of a robot among some obstacles."""
-        sight = RobotSight(layout := CLUTTER.observation_layout, 3.0)
-        return [layout.split(sight.rows(along(0), look, None)).obstacles for look in looks]
+        builder = ObservationBuilder(layout := CLUTTER.observation_layout, 3.0)
+        return [layout.split(builder.rows(along(0), look, None)).obstacles for look in looks]
 
     def test_obstacles_keep_slots(self):
         one, two = self.shown([self.A, self.B], [self.C, along(83, 62), along(44, 23)])

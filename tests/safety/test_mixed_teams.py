@@ -153,7 +153,7 @@ def test_choices_are_padded_and_masked(dim):
 def test_training_environment_pads_choices_of_agents():
     env = rv.training_env(team(), guarantee="heading", decision_period=1)
     teams = rv.vector.training_env(team(), 1, guarantee="heading", decision_period=1)
-    assert_array_equal(teams.action_mask, env.teams.action_mask)
+    assert_array_equal(teams.action_mask, env.vector_env.action_mask)
     env.reset(seed=0), teams.reset(seed=0)
     random = np.random.default_rng(0)
     choice = random.uniform(-1, 1, (4, 2)).astype(np.float32)

@@ -12,7 +12,7 @@ from rendezvous_env import scenarios
 from rendezvous_env.adapters.torchrl import GROUP
 from train.leaderboard import cards, command, registry
 from train.leaderboard.algorithms import multi_agent
-from train.leaderboard.teams import make_training_envs
+from train.leaderboard.environments import make_training_envs
 
 NAMES = tuple(
     f"{learner}-{safety}"
@@ -31,7 +31,11 @@ def test_learners_train_in_common_environments(safety):
     price = 0.0 if safety == "none" else None
     teams = make_training_envs(field, 3, safety=safety, anew=True, contact_penalty=price)
     env = multi_agent.task_of(field, safety).get_env_fun(3, False, 7, "cpu")()
-    assert env.teams.contact_penalty == teams.contact_penalty == (0.0 if safety == "none" else 1.0)
+    assert (
+        env.vector_env.contact_penalty
+        == teams.contact_penalty
+        == (0.0 if safety == "none" else 1.0)
+    )
     seen, _ = teams.reset(seed=7)
     now, random = env.reset(), np.random.default_rng(0)
     for _ in range(60):

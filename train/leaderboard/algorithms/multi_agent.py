@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..environments import can_learn, filter_arguments, make_training_envs, without_base_controller
 from ..playing import Player
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, filter_arguments, make_training_envs, without_base_controller
 
 _PPO = {"lmbda": 0.95, "entropy_coef": 0.003}
 LEARNERS: dict[str, dict[str, Any]] = {"Ippo": _PPO, "Mappo": _PPO, "Masac": {}, "Qmix": {}}

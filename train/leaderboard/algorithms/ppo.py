@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rendezvous_env.scenario.scenario import Scenario
 
 from ...learn.settings import TRAINING_SEEDS
+from ..environments import can_learn, make_training_envs
 from ..playing import Player
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, make_training_envs
 
 SETTINGS: dict[str, Any] = {
     "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,

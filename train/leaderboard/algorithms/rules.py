@@ -10,15 +10,15 @@ from rendezvous_env import baselines
 from rendezvous_env.scenario.scenario import Scenario
 
 from ... import policies
+from ..environments import COSTS
 from ..playing import Player
 from ..registry import Algorithm, Budget
-from ..teams import COSTS
 
 
 def _player(name: str, field: Scenario, num_envs: int) -> Player:
     scenario = field.replace(costs=COSTS)
-    teams = rv.make_vec(scenario, num_envs, AutoresetMode.DISABLED, num_threads=1)
-    return Player(teams, baselines.make(name, scenario))
+    env = rv.make_vec(scenario, num_envs, AutoresetMode.DISABLED, num_threads=1)
+    return Player(env, baselines.make(name, scenario))
 
 
 def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:

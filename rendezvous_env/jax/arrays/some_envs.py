@@ -12,7 +12,7 @@ _SHARE = 32  # part of a batch that is computed at a time
 _FEWEST = 16  # environments
 
 
-def for_teams(
+def for_envs(
     which: Array, function: Callable[[Any], Any], given: Any, otherwise: Any, every: bool
 ) -> Any:
     """``function(given)`` where a mask (*batch) holds, else ``otherwise``.

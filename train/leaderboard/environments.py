@@ -11,7 +11,7 @@ from rendezvous_env.baselines.learned.training_environment import FeatureVectorE
 from rendezvous_env.baselines.steering import can_steer
 
 import rendezvous_env as rv
-from rendezvous_env.envs.training import TrainingTeams
+from rendezvous_env.envs.training import TrainingVectorEnv
 from rendezvous_env.rewards.custom_terms import RewardStep, reward_term
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
@@ -63,10 +63,12 @@ class WithoutBaseController(FeatureVectorEnv):
         return self.guided.apply(seen)
 
 
-def without_base_controller(teams: TrainingTeams) -> TrainingTeams:
+def without_base_controller(env: TrainingVectorEnv) -> TrainingVectorEnv:
     """The same environments without the base controller."""
-    led: Any = teams.env
-    return TrainingTeams(WithoutBaseController(led.env, led.settings), teams.contact_penalty)
+    guided: Any = env.env
+    return TrainingVectorEnv(
+        WithoutBaseController(guided.env, guided.settings), env.contact_penalty
+    )
 
 
 def make_training_envs(
@@ -76,8 +78,8 @@ def make_training_envs(
     safety: str,
     anew: bool,
     contact_penalty: float | None = None,
-    wrap: Callable[[Any], Any] = lambda teams: teams,
-) -> TrainingTeams:
+    wrap: Callable[[Any], Any] = lambda env: env,
+) -> TrainingVectorEnv:
     """B environments with the observations, decisions (an angle every 0.6 s) and rewards of the
     shipped policies.
 
@@ -97,5 +99,5 @@ def make_training_envs(
     mode = AutoresetMode.SAME_STEP if anew else AutoresetMode.DISABLED
     base = wrap(rv.make_vec(scenario, num_envs, mode, num_threads=1))
     chosen = learnt.wrap(base, guarantee, True, how)
-    teams = TrainingTeams(chosen, price if contact_penalty is None else contact_penalty)
-    return without_base_controller(teams) if safety == "none" else teams
+    env = TrainingVectorEnv(chosen, price if contact_penalty is None else contact_penalty)
+    return without_base_controller(env) if safety == "none" else env

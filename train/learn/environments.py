@@ -58,14 +58,12 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
     @property
     def alignment(self) -> NDArray[np.float64]:
         """(B, n), as ``FeatureVectorEnv.alignment``."""
-        return np.concatenate([teams.alignment for teams in self.groups])
+        return np.concatenate([env.alignment for env in self.groups])
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[NDArray[np.float32], Info]:
         """Start a new episode in every environment, one seed each; options are not supported."""
         parts = np.split(np.array(seed), self._bounds)
-        begun = [
-            teams.reset(seed=own.tolist()) for teams, own in zip(self.groups, parts, strict=True)
-        ]
+        begun = [env.reset(seed=own.tolist()) for env, own in zip(self.groups, parts, strict=True)]
         observations = np.concatenate([seen for seen, _ in begun])
         self._note_blind(slice(None), observations)
         return observations, self._joined([infos for _, infos in begun])
@@ -73,7 +71,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
     def step(self, actions: ArrayLike) -> Transition:
         """As ``FeatureVectorEnv.step``."""
         parts = np.split(np.where(self._blind, 0, np.asarray(actions)), self._bounds)
-        steps = [teams.step(own) for teams, own in zip(self.groups, parts, strict=True)]
+        steps = [env.step(own) for env, own in zip(self.groups, parts, strict=True)]
         *arrays, infos = zip(*steps, strict=True)
         seen, rewards, ends, cuts = (np.concatenate(parts) for parts in arrays)
         self._note_blind(slice(None), seen)
@@ -123,7 +121,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
 
     def get_state(self) -> dict[str, Any]:
         """Copies of the generations, running episodes and memory of all groups."""
-        groups = {str(g): teams.get_state() for g, teams in enumerate(self.groups)}
+        groups = {str(g): env.get_state() for g, env in enumerate(self.groups)}
         return groups | {"generations": self.generations.copy(), "blind": self._blind.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -132,8 +130,8 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         check_keys(state, (*map(str, range(len(self.groups))), *memory), exactly=True)
         own = check_entries(memory, state)
         groups = [self._make(g, int(k)) for g, k in enumerate(own["generations"])]
-        for g, teams in enumerate(groups):
-            teams.set_state(state[str(g)])
+        for g, env in enumerate(groups):
+            env.set_state(state[str(g)])
         self.groups = groups
         self.generations, self._blind = own["generations"].copy(), own["blind"].copy()
 
@@ -179,7 +177,7 @@ class TimedRobotVecEnv(RobotVecEnv):
         """As ``RobotVecEnv.step_wait``, timed."""
         began = time.perf_counter()
         result = super().step_wait()
-        alignment = self.teams.alignment
+        alignment = self.vector_env.alignment
         known = ~np.isnan(alignment)
         self.alignment += float(alignment[known].sum())
         self.aligned += int(known.sum())
@@ -188,8 +186,8 @@ class TimedRobotVecEnv(RobotVecEnv):
 
     def renew_sensors(self, update: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """As ``SensingGroups.renew``, for slots: (slots,) and (k, size)."""
-        if not isinstance(self.teams, SensingGroups):
+        if not isinstance(self.vector_env, SensingGroups):
             return np.zeros(self.num_envs, dtype=np.bool_), self.bootstrap_observations[:0]
-        which, observations = self.teams.renew(update)
+        which, observations = self.vector_env.renew(update)
         self.slots.begin(which)
         return np.repeat(which, self.n_robots), self.slots.by_slot(observations)
