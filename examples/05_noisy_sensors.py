@@ -86,7 +86,7 @@ def draw(rows, path):
             )  # fmt: skip
         axes.set(title=name, xlabel="noise / rad")
         axes.grid()
-    panels[0].set_ylabel("met without a contact / % of starts")
+    panels[0].set_ylabel("met without a contact / % of episodes")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     style.save(figure, path)
 

@@ -170,4 +170,4 @@ with tempfile.TemporaryDirectory() as folder:
         met, touched, seconds = play(given.policy, seed, folder)
         found.append(met and not touched)
         print(f"{seed}: met {met}, touched {touched}, {seconds:.1f} s", flush=True)
-print(f"{given.policy}: {sum(found)} of {len(found)} teams met without a touch")
+print(f"{given.policy}: {sum(found)} of {len(found)} episodes met without a contact")

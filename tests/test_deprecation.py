@@ -9,6 +9,7 @@ import rendezvous_env as rv
 from baselines import observation_builder, robot_sight
 from rendezvous_env.deprecation import RenamedKeys, renamed_arguments, renamed_attribute
 from rendezvous_env.envs import training
+from train.leaderboard import command
 from train.learn.settings import Config
 
 NUM_ENVS = pytest.warns(DeprecationWarning, match="num_teams is called num_envs now")
@@ -101,6 +102,17 @@ def test_config_accepts_former_names_in_calls_and_in_stored_runs():
     stored["num_teams"] = stored.pop("num_envs")
     stored["touch_penalty"] = stored.pop("contact_penalty")
     assert Config.from_plain(stored) == config
+    with pytest.warns(DeprecationWarning, match="eval_starts is called eval_episodes now"):
+        config = Config(eval_starts=7)
+    assert config == Config(eval_episodes=7)
+    stored = config.to_plain()
+    stored["eval_starts"] = stored.pop("eval_episodes")
+    assert Config.from_plain(stored) == config
+
+
+def test_leaderboard_accepts_starts():
+    with pytest.warns(DeprecationWarning, match="starts is called episodes now"):
+        assert command.Config(starts=7) == command.Config(episodes=7)
 
 
 def test_former_name_of_observation_batch_warns():

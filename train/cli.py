@@ -12,7 +12,7 @@ import io
 import os
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module, metadata
 from itertools import chain, pairwise
@@ -96,8 +96,21 @@ def _run(command: str, flags: Sequence[str]) -> int:
     if {"-h", "--help"} & set(flags):
         Console(highlight=False).print(help_of(command, module), soft_wrap=True)
         return 0
-    config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
+    words = current_flags(flags, getattr(module, "FORMER_FLAGS", {}))
+    config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=words)
     return int(module.run(config) or 0)
+
+
+def current_flags(words: Sequence[str], former: Mapping[str, str]) -> list[str]:
+    """Words of a command line with former flags replaced; each replacement prints a warning."""
+    current = []
+    for word in words:
+        name, equals, value = word.partition("=")
+        if new := former.get(name.replace("_", "-")):
+            print(f"warning: {name} is called {new} now", file=sys.stderr)
+            name = new
+        current.append(name + equals + value)
+    return current
 
 
 def _say(command: str, what: str) -> int:

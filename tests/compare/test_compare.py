@@ -54,9 +54,9 @@ class TestFiles:
             of_cell[episode["scenario"], episode["policy"]].append(episode)
         for row in results.read_csv(compared / "results.csv"):
             own = of_cell[row["scenario"], row["policy"]]
-            starts = {"uav-6": 4, "fig4": 1}[row["scenario"]]  # that of fig4 is given
-            assert [int(r["start"]) for r in own] == list(range(starts))
-            assert int(row["episodes"]) == starts
+            count = {"uav-6": 4, "fig4": 1}[row["scenario"]]  # that of fig4 is given
+            assert [int(r["initial_condition"]) for r in own] == list(range(count))
+            assert int(row["episodes"]) == count
             for name, column, of in (
                 ("success", "success", np.mean),
                 ("collision_free_success", "collision_free", np.mean),
@@ -331,7 +331,7 @@ def test_first_failure_is_recorded(tmp_path):
     config = compare.Config(**words, episodes=12, keep=1, seed=2, out=tmp_path / "out")
     assert compare.run(config) == 0
     rows = results.read_csv(config.out / "episodes.csv")
-    failed = [int(row["start"]) for row in rows if row["collision_free"] == "0"]
+    failed = [int(row["initial_condition"]) for row in rows if row["collision_free"] == "0"]
     kept = {key[2]: one for key, one in read(config.out).recordings.items()}
     assert failed and sorted(kept) == sorted({0, failed[0]})
     row, last = rows[failed[0]], kept[failed[0]]

@@ -26,7 +26,7 @@ from train.learn.settings import EVALUATION_SEEDS
 
 SMALL = command.Config(
     algorithms=("bearing-only", "ppo-heading"), fields=("clutter-8",), seeds=(0, 1), decisions=64,
-    starts=8, jobs=1,
+    episodes=8, jobs=1,
 )  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
         said = capsys.readouterr().err
         assert "results differ" in said and f"{where} the 95 % interval of the difference" in said
     wrong = [{"seed": seed} for seed in ("a", True, 1.0, -1, 2**29)]
-    wrong += [{"starts": 7}, {"starts": 0}, {"decisions": "64"}, {"guarantee": "all"}]
+    wrong += [{"episodes": 7}, {"episodes": 0}, {"decisions": "64"}, {"guarantee": "all"}]
     wrong += [{"versions": 1}, {"field": "mine/clutter-8-v1"}]
     for own in ({"time": [1.0]}, {"time": [np.nan] * 8}, {"steps": [0] * 8}, {"clean": [7] * 8}):
         wrong.append({"results": changed["results"] | own})
@@ -189,6 +189,14 @@ def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
     other.unlink()
     with pytest.raises(UserError, match="no results card"):
         command.run(replace(SMALL, repeat=other))
+
+
+def test_record_with_former_entry_is_read(tmp_path):
+    source = ROOT / "results/leaderboard/smoke/cells/bearing-only/clutter-8-v1-seed-0.json"
+    text, path = source.read_text(), tmp_path / source.name
+    path.write_text(text.replace('"episodes": ', '"starts": '))
+    assert path.read_text() != text
+    assert cards_of.read_card(path) == cards_of.read_card(source) == json.loads(text)
 
 
 def test_misplaced_record_is_rejected(board, tmp_path):
@@ -226,7 +234,7 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
     for card in (board / "cells").glob("*/*.json"):
         assert (out / card.relative_to(board)).read_bytes() == card.read_bytes()
     capsys.readouterr()
-    for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"starts": 9}):
+    for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"episodes": 9}):
         with pytest.raises(UserError, match="do not stand in one table"):
             command.run(replace(more, **changes))
     path = out / "cells" / "tank-joined" / "clutter-8-v1-seed-0.json"
@@ -278,7 +286,7 @@ def test_invalid_leaderboard_settings_are_rejected():
         ({"fields": ("clutter-8-v2",)}, "of another version"),
         ({"fields": ("uav-6",), "algorithms": ("ppo-tank",)}, "none of these algorithms fits"),
         ({"seeds": (1, 1)}, "named twice"),
-        ({"starts": 0}, "--starts is 0"),
+        ({"episodes": 0}, "--episodes is 0"),
         ({"seeds": (3_000_000_000,)}, "--seeds is 3000000000; it must be 536870911 or less"),
     ):
         with pytest.raises(UserError, match=said):

@@ -40,7 +40,7 @@ class TestRanking:
         own = [played("fig4", "tangent", 0.5, 1.0), played("fig4", "tangent-joined", 0.9, 9.0)]
         [found] = ranking.rank([*own, played("fig4", "bearing-only", 0.9, 3.0)])
         assert found.best == "bearing-only" and found.tied == ("tangent-joined",)
-        assert found.share["tangent"] == 0.5 and found.starts == STARTS
+        assert found.share["tangent"] == 0.5 and found.count == STARTS
 
     @pytest.mark.parametrize(("worse", "tied"), [(0, True), (2, True), (8, False)])
     def test_tie_is_paired_interval_containing_zero(self, worse, tied):
@@ -250,7 +250,7 @@ class TestCommand:
     def test_json_summary_has_results(self, said):
         _, summary = said
         fig4 = summary["scenarios"]["fig4"]
-        assert (fig4["starts"], fig4["best"], fig4["tied"]) == (1, "tangent-joined", [])
+        assert (fig4["initial_conditions"], fig4["best"], fig4["tied"]) == (1, "tangent-joined", [])
         assert fig4["policies"]["bearing-only"]["collision_free_success"] == 0
         assert fig4["policies"]["bearing-only"]["collision_free_low"] is None
         assert {row["against"] for row in summary["paired"]} == {"tangent-joined"}

@@ -22,7 +22,7 @@ from train.recording import MAX_FRAMES
 
 RULES = command.Config(
     algorithms=("bearing-only", "tank-joined"), fields=("clutter-8", "unicycle-clutter-16"),
-    starts=10, jobs=1,
+    episodes=10, jobs=1,
 )  # fmt: skip
 
 

@@ -97,7 +97,7 @@ class Config(Workers):
         """Scenarios at the levels of the sensor sweeps."""
         return levels.sweeps(_resolve(self), self.sensing)
 
-    def starts(self, scenario: Scenario) -> int:
+    def count(self, scenario: Scenario) -> int:
         """Number of distinct initial conditions of a scenario."""
         asked = _fewer(_STARTS, scenario) if self.episodes is None else self.episodes
         return starts_of(scenario, asked)

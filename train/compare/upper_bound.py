@@ -55,7 +55,7 @@ def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -
 
 def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
     """Tasks of the requested runs of law (4) and of the planner."""
-    starts = config.starts(scenario)
+    starts = config.count(scenario)
     return [
         Task(
             name=f"upper-bound-{scenario.name}-{'planner' if run is None else f'{run:04d}'}",
