@@ -33,7 +33,7 @@ learned = f"learned:{out / 'run'}"
 compare.run(
     compare.Config(
         scenarios=("clutter-8",),
-        policies=("bearing-only", "tangent-joined-tuned", learned),
+        policies=("bearing-only", "tangent-merged-tuned", learned),
         episodes=given.episodes,
         out=out / "compare",
         figures=False,

@@ -93,7 +93,7 @@ def draw(rows, path):
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenarios", nargs="+", default=["clutter-8", "clutter-16"])
-parser.add_argument("--policies", nargs="+", default=["tangent-joined-tuned", "learned"])
+parser.add_argument("--policies", nargs="+", default=["tangent-merged-tuned", "learned"])
 parser.add_argument("--sensors", nargs="+", default=list(SENSORS), choices=list(SENSORS))
 parser.add_argument("--episodes", type=int, default=200)
 parser.add_argument("--seed", type=int, default=5000)

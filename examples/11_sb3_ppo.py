@@ -29,7 +29,7 @@ def ppo(scenario):
     return baselines.TrainedPolicy(scenario, model.predict)
 
 
-names = ("tangent-joined-tuned", "ppo")
+names = ("tangent-merged-tuned", "ppo")
 compare.run(
     compare.Config(("clutter-8",), names, episodes=given.episodes, out=given.out, figures=False)
 )

@@ -159,7 +159,7 @@ def play(policy, seed, folder):
 
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--policy", default="tangent-joined-tuned")
+parser.add_argument("--policy", default="tangent-merged-tuned")
 parser.add_argument("--episodes", type=int, default=10)
 parser.add_argument("--seed", type=int, default=0)
 given = parser.parse_args()

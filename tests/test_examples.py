@@ -24,7 +24,7 @@ def test_step_loop_and_custom_law_run():
 def test_train_and_compare_run(tmp_path):
     small = ("--steps", "1000", "--num-envs", "8", "--episodes", "3", "--out", str(tmp_path))
     last = run("03_train_and_compare.py", *small).splitlines()[-3:]
-    policies = ["bearing-only", "tangent-joined-tuned", "learned"]
+    policies = ["bearing-only", "tangent-merged-tuned", "learned"]
     assert [line.split(":")[0] for line in last] == policies
     assert (tmp_path / "run" / "checkpoints" / "latest.json").is_file()
 
@@ -36,7 +36,7 @@ def test_stable_baselines3_example_runs(tmp_path):
     small = ("--steps", "512", "--num-envs", "4", "--episodes", "2", "--out", str(tmp_path / "out"))
     run("11_sb3_ppo.py", *small)
     rows = results.read_csv(tmp_path / "out" / "results.csv")
-    assert [row["policy"] for row in rows] == ["tangent-joined-tuned", "ppo"]
+    assert [row["policy"] for row in rows] == ["tangent-merged-tuned", "ppo"]
     assert "ppo" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 

@@ -102,14 +102,21 @@ def _run(command: str, flags: Sequence[str]) -> int:
 
 
 def current_flags(words: Sequence[str], former: Mapping[str, str]) -> list[str]:
-    """Words of a command line with former flags replaced; each replacement prints a warning."""
+    """Words of a command line without deprecated flags and policies.
+
+    Each replacement prints a warning.
+    """
+    from .checks import current_policy
+
     current = []
     for word in words:
         name, equals, value = word.partition("=")
         if new := former.get(name.replace("_", "-")):
             print(f"warning: {name} is called {new} now", file=sys.stderr)
-            name = new
-        current.append(name + equals + value)
+            word = new + equals + value
+        if (new := current_policy(word)) != word:
+            print(f"warning: policy {word} is called {new} now", file=sys.stderr)
+        current.append(new)
     return current
 
 

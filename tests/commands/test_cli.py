@@ -126,6 +126,17 @@ def test_former_flags_warn_once_and_are_hidden(command, old, new, monkeypatch, c
     assert not set(renamed) & set(re.findall(r"--[\w-]+", capsys.readouterr().out))
 
 
+def test_former_policy_names_warn(monkeypatch, capsys):
+    given = []
+    monkeypatch.setattr(importlib.import_module("train.compare.compare"), "run", given.append)
+    assert run("compare", "--policies", "tank-joined", "best=tangent-joined-tuned", "learned") == 0
+    assert capsys.readouterr().err.splitlines() == [
+        "warning: policy tank-joined is called tank-merged now",
+        "warning: policy best=tangent-joined-tuned is called best=tangent-merged-tuned now",
+    ]
+    assert given[0].policies == ("tank-merged", "best=tangent-merged-tuned", "learned")
+
+
 def test_old_flag_names_are_accepted(monkeypatch):
     monkeypatch.setattr(tasks, "check_installed", lambda *needs: None)
     old = "--scenarios duo --policies zero --fresh --keep 2 --ceiling 3 --on ray"

@@ -115,7 +115,7 @@ class TestFiles:
 
     def test_paired_csv_matches_episodes(self, compared):
         rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(compared / "paired.csv")}
-        joined = rows["fig4", "tangent-joined"]
+        joined = rows["fig4", "tangent-merged"]
         assert joined["against"] == "bearing-only"
         assert float(joined["collision_free_difference"]) == 1.0  # law (1) touches every obstacle
         assert float(rows["uav-6", "zero"]["probability_of_improvement"]) == 0.0
@@ -175,7 +175,7 @@ class TestMeasures:
         done, _ = run_play(scenarios.get("fig3"), "tangent-certified", 2)
         assert (done.min_alignment >= 0.1 - 1e-6).all()
         assert np.isfinite(done.time_bound).all()
-        done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), "tangent-joined", 2)
+        done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), "tangent-merged", 2)
         assert np.isnan(done.time_bound).all()
 
     def test_unicycle_alignment_uses_body_axis(self):

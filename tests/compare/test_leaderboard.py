@@ -199,6 +199,19 @@ def test_record_with_former_entry_is_read(tmp_path):
     assert cards_of.read_card(path) == cards_of.read_card(source) == json.loads(text)
 
 
+def test_folder_with_former_algorithm_names_is_read_but_not_extended(tmp_path):
+    folder = tmp_path / "out/cells/tank-joined"
+    folder.mkdir(parents=True)
+    source = ROOT / "results/leaderboard/smoke/cells/tank-merged/clutter-8-v1-seed-0.json"
+    (folder / source.name).write_text(source.read_text().replace("tank-merged", "tank-joined"))
+    [card] = cards_of.read_cards(tmp_path / "out")
+    assert card["algorithm"] == "tank-joined"
+    assert registry.find("tank-joined") is registry.find("tank-merged")
+    asked = replace(SMALL, out=tmp_path / "out", algorithms=("tank-merged",), episodes=50)
+    with pytest.raises(UserError, match="runs of tank-joined, which is called tank-merged now; ch"):
+        command.run(asked)
+
+
 def test_misplaced_record_is_rejected(board, tmp_path):
     shutil.copytree(board, out := tmp_path / "out")
     card = out / "cells/ppo-heading/clutter-8-v1-seed-1.json"
@@ -226,18 +239,18 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
     done, run_of = [], command.run_of
     shutil.copytree(board, out := tmp_path / "out")
     monkeypatch.setattr(command, "run_of", lambda *given: done.append(given[0]) or run_of(*given))
-    more = replace(SMALL, algorithms=("tank-joined", "bearing-only"), out=out)
+    more = replace(SMALL, algorithms=("tank-merged", "bearing-only"), out=out)
     assert command.run(more) == 0
-    assert [place.name for place in done] == ["tank-joined/clutter-8-v1-seed-0"]
+    assert [place.name for place in done] == ["tank-merged/clutter-8-v1-seed-0"]
     names = [row["algorithm"] for row in command.results.read_csv(out / "leaderboard.csv")]
-    assert sorted(names) == ["bearing-only", "ppo-heading", "tank-joined"]
+    assert sorted(names) == ["bearing-only", "ppo-heading", "tank-merged"]
     for card in (board / "cells").glob("*/*.json"):
         assert (out / card.relative_to(board)).read_bytes() == card.read_bytes()
     capsys.readouterr()
     for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"episodes": 9}):
         with pytest.raises(UserError, match="do not stand in one table"):
             command.run(replace(more, **changes))
-    path = out / "cells" / "tank-joined" / "clutter-8-v1-seed-0.json"
+    path = out / "cells" / "tank-merged" / "clutter-8-v1-seed-0.json"
     path.write_text(path.read_text().replace(scenarios.digests()["clutter-8-v1"], "0" * 64))
     with pytest.raises(UserError, match="digest of other initial conditions"):
         command.run(more)
@@ -271,7 +284,7 @@ def test_missing_libraries_are_skipped_or_named(monkeypatch, capsys, tmp_path):
     """Missing packages are skipped by default, and an error for explicit names."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
     named = {place.algorithm for place in command.plan(command.Config())}
-    assert named == {"bearing-only", "tangent-joined-tuned", "tank-joined"}
+    assert named == {"bearing-only", "tangent-merged-tuned", "tank-merged"}
     with pytest.raises(UserError, match=r"'qmix-none' needs torch, torchrl, tensordict, benchmarl"):
         command.plan(command.Config(algorithms=("qmix-none",)))
     monkeypatch.setattr(command, "play_all", lambda *given: (defaultdict(dict), 0.0))
@@ -342,7 +355,7 @@ def test_shipped_records_reproduce_tables(tier, monkeypatch):
     for line in table_of(exact):
         assert re.sub(r" \([\d.]+ to [\d.]+\)", "", line) in without
     monkeypatch.undo()
-    some = ("ppo-heading", "ppo-lagrangian", "tank-joined")
+    some = ("ppo-heading", "ppo-lagrangian", "tank-merged")
     assert all(line in page for line in table_of([c for c in exact if c["algorithm"] in some]))
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for name, start in (("none", "| nothing"), ("heading", "| rule, **headings**")):

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from rendezvous_env.deprecation import renamed_arguments
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import Bounds, UserError
+from ..checks import Bounds, UserError, current_policy
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
 from ..console import Console
@@ -168,6 +168,7 @@ def run(config: Config) -> int:
 def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, Card]:
     """Runs stored in a folder; a UserError if their budget or number of episodes differs."""
     kept = {place_of(card): card for card in read_cards(out)}
+    _check_names(out, kept, places)
     for what in ("decisions", "episodes"):
         amounts = {getattr(place, what) for place in (*kept, *places)} - {0}
         if len(amounts) > 1:
@@ -176,6 +177,17 @@ def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, Card]:
                 f"--out {out}: {each} {what} do not stand in one table; choose another folder"
             )
     return kept
+
+
+def _check_names(out: Path, kept: Iterable[RunKey], places: Iterable[RunKey]) -> None:
+    """Raise a UserError if a folder has runs of an algorithm under its deprecated name."""
+    asked = {place.algorithm for place in places}
+    for former in {place.algorithm for place in kept}:
+        if (name := current_policy(former)) != former and name in asked:
+            raise UserError(
+                f"--out {out}: holds runs of {former}, which is called {name} now; choose another "
+                f'folder, or rename cells/{former}, replays/{former} and "algorithm" in its records'
+            )
 
 
 def write(out: Path, runs: Sequence[Run], console: Console) -> None:

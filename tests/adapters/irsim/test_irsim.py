@@ -11,7 +11,7 @@ if util.find_spec("irsim") is None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("policy", ["tangent-joined-tuned", "learned"])
+@pytest.mark.parametrize("policy", ["tangent-merged-tuned", "learned"])
 def test_robots_meet_in_irsim_without_contact(policy):
     told, last = run("13_ir_sim.py", "--policy", policy, "--episodes", "1").splitlines()
     assert 3.0 < float(re.fullmatch(r"0: met True, touched False, (\S+) s", told)[1]) < 90.0
