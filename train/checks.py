@@ -119,7 +119,8 @@ def _of_current_policies(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(map(_of_current_policies, value))
     if isinstance(value, str) and (current := current_policy(value)) != value:
-        warnings.warn(f"policy {value!r} is called {current!r} now", DeprecationWarning, 4)
+        old, new = (word.rpartition("=")[2] for word in (value, current))
+        warnings.warn(f"policy {old!r} is called {new!r} now", DeprecationWarning, 4)
         return current
     return value
 

@@ -115,7 +115,8 @@ def current_flags(words: Sequence[str], former: Mapping[str, str]) -> list[str]:
             print(f"warning: {name} is called {new} now", file=sys.stderr)
             word = new + equals + value
         if (new := current_policy(word)) != word:
-            print(f"warning: policy {word} is called {new} now", file=sys.stderr)
+            names = (one.rpartition("=")[2] for one in (word, new))
+            print("warning: policy {} is called {} now".format(*names), file=sys.stderr)
         current.append(new)
     return current
 

@@ -132,7 +132,7 @@ def test_former_policy_names_warn(monkeypatch, capsys):
     assert run("compare", "--policies", "tank-joined", "best=tangent-joined-tuned", "learned") == 0
     assert capsys.readouterr().err.splitlines() == [
         "warning: policy tank-joined is called tank-merged now",
-        "warning: policy best=tangent-joined-tuned is called best=tangent-merged-tuned now",
+        "warning: policy tangent-joined-tuned is called tangent-merged-tuned now",
     ]
     assert given[0].policies == ("tank-merged", "best=tangent-merged-tuned", "learned")
 
