@@ -82,7 +82,7 @@ from .stages.sense_obstacles import (
     sense_shapes,
 )
 from .stages.write_observations import sense_oneself, write_observations, write_packed
-from .state import State
+from .state import BatchState
 
 _LARGEST = np.finfo(np.float32).max
 Call = Callable[[], Any]
@@ -103,7 +103,7 @@ class StepStages:
 
     def __init__(
         self,
-        state: State,
+        state: BatchState,
         robot: Robot,
         constants: Constants,
         sensor: Sensor | None,

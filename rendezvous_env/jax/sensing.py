@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from ..physics.potential import observed, sighting
 from ..physics.vectors import local_axis, to_local
 from .arrays.array_form import Array, array_form
-from .imperfections import Sensor
+from .imperfections import SensorModel
 from .obstacles.shapes import Shapes, World
 
 
@@ -46,7 +46,7 @@ def sense(
     weights: Array,
     slots: int,
     dtype: Any,
-    sensor: Sensor | None = None,
+    sensor: SensorModel | None = None,
     keys: Any = None,
 ) -> Sight:
     """Observe all neighbours; with ``slots`` < n − 1 rows those present come first.
@@ -82,7 +82,7 @@ def sense_obstacles(
     net: Array,
     reach: float,
     dtype: Any,
-    sensor: Sensor | None = None,
+    sensor: SensorModel | None = None,
     keys: Any = None,
 ) -> tuple[Array, Array]:
     """Observe the obstacles within ``reach``, m.

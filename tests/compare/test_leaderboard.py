@@ -21,7 +21,7 @@ from train.leaderboard import command, registry, tables
 from train.leaderboard.algorithms.ppo import multiplier_of
 from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
 from train.leaderboard.environments import make_training_envs
-from train.leaderboard.playing import Player, play
+from train.leaderboard.playing import EvaluationSetup, play
 from train.learn.settings import EVALUATION_SEEDS
 
 SMALL = command.Config(
@@ -103,7 +103,7 @@ def test_filters_differ_in_contacts_and_rises():
     for safety in ("none", "rule", "heading"):
         teams = make_training_envs(field, 6, safety=safety, anew=False)
         aside = teams.single_action_space.nvec[0] - 1  # the choice farthest aside of f
-        found = play(Player(teams, lambda seen, time, n=aside: np.full(seen.shape[:2], n)))
+        found = play(EvaluationSetup(teams, lambda seen, time, n=aside: np.full(seen.shape[:2], n)))
         risen[safety], touches[safety] = sum(found["risen"]), sum(found["touches"])
         assert sum(found["steps"]) > 1000 and len(found["clean"]) == 6
     assert risen["heading"] == 0 and risen["rule"] > 1000

@@ -16,7 +16,7 @@ from train.checks import UserError
 from train.leaderboard import cards as cards_of
 from train.leaderboard import command, replays
 from train.leaderboard.environments import make_training_envs
-from train.leaderboard.playing import Player, play
+from train.leaderboard.playing import EvaluationSetup, play
 from train.learn.settings import EVALUATION_SEEDS
 from train.recording import MAX_FRAMES
 
@@ -75,7 +75,7 @@ def test_replay_matches_record_and_initial_condition(board):
 def led(field, count, safety, choose):
     """Policy whose choices depend on the action space only."""
     teams = make_training_envs(scenarios.get(field), count, safety=safety, anew=False)
-    return Player(teams, lambda seen, time: choose(seen.shape[:2]))
+    return EvaluationSetup(teams, lambda seen, time: choose(seen.shape[:2]))
 
 
 def test_recording_does_not_change_episode():
