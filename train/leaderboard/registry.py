@@ -41,7 +41,7 @@ class Algorithm:
     plain data). An algorithm without training returns immediately."""
     fits: Callable[[Scenario], bool]  # whether it can be had on a field
     learns: bool = True  # whether its seed and budget matter; else one seed is played
-    packages: tuple[str, ...] = ()  # distributions it needs; their versions are on its cards
+    packages: tuple[str, ...] = ()  # distributions it needs; their versions are in its records
 
     @property
     def missing(self) -> list[str]:

@@ -28,7 +28,7 @@ BUDGET = 20_000
 _TEXT = re.compile(r"[\w+/]+=*", re.ASCII)
 Replay = dict[str, Any]
 """As it lies in OUT/replays: "starts", by number, each an ``Encoded``; and the digest "sha256" of
-them and of the results on its card."""
+them and of the results in its record."""
 
 
 def play_and_record(
@@ -85,7 +85,7 @@ def path_of(card: Path) -> Path:
     """Path of the replay of a run: OUT/replays mirrors OUT/cells; a UserError elsewhere."""
     folders = card.absolute().parents
     if len(folders) < 3 or folders[1].name != "cells":
-        raise UserError(f"{card}: a replay is kept beside a card of OUT/cells/ALGORITHM")
+        raise UserError(f"{card}: a replay is kept beside a record of OUT/cells/ALGORITHM")
     return folders[2] / "replays" / folders[0].name / card.name
 
 
@@ -111,5 +111,5 @@ def read_replay(path: Path, found: dict[str, Any]) -> dict[int, Encoded]:
     except FileNotFoundError:
         return {}
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise UserError(f"{path}: no replay of its card ({error}); remove it") from error
+        raise UserError(f"{path}: no replay of its record ({error}); remove it") from error
     return kept

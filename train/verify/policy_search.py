@@ -14,7 +14,7 @@ import numpy as np
 
 import rendezvous_env as rv
 
-from . import random_starts as places_of
+from . import random_initial_conditions as places_of
 from .falsification import Tally, TrialResult, Violation, climb
 from .monitors import SEARCHED
 from .random_scenarios import GRAPHS, STARTS, Trial, other_starts, random_graph, reach_of

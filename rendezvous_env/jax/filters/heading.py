@@ -17,7 +17,7 @@ from ...safety.heading import (
 )
 from ...safety.turning import Gate, desired_rates, gated_rates, mean_axis, rates_of
 from ..arrays.array_form import Array, array_form
-from .frames import Seen, held, look, nothing_seen
+from .frames import LastObservation, held, look, nothing_seen
 
 Vector = Any
 
@@ -26,7 +26,7 @@ class HeadingMemory(NamedTuple):
     """State of the filter between steps."""
 
     headings: Array  # (n, d, *batch), in the robots' frames; zero if none yet
-    seen: Seen
+    seen: LastObservation
 
 
 class Heading:

@@ -24,7 +24,7 @@ from ...safety.tank import (
 )
 from ...safety.turning import Robot, desired_rates, gated_rates, rates_of
 from ..arrays.array_form import Array, array_form, select
-from .frames import Seen, held, look, nothing_seen
+from .frames import LastObservation, held, look, nothing_seen
 from .heading import turned, vector_of
 
 
@@ -34,7 +34,7 @@ class TankMemory(NamedTuple):
     levels: Array  # (n, *batch), stored energy A, m²/s
     deposits: Array  # (n, *batch), G of the action in progress, m²/s
     linked: Array  # (n, *batch), whether a robot has seen a neighbour before the action
-    seen: Seen
+    seen: LastObservation
 
 
 class Account(NamedTuple):
