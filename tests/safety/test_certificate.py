@@ -392,6 +392,7 @@ def test_old_field_names_warn():
     for old, new in (
         ("held_time_bound", "time_bound"),
         ("bearing_error_borne", "tolerated_bearing_error"),
+        ("touches_obstacles", "contact_possible"),
         ("continuous_time", "continuous_time_only"),
     ):
         with pytest.warns(DeprecationWarning, match=new):
