@@ -39,7 +39,7 @@ class RendezvousTask(TaskClass):
         if decided := {"num_envs", "discrete", "seed", "device"} & set(config or ()):
             raise ValueError(
                 f"config has {sorted(decided)[0]!r}, which the ExperimentConfig and the algorithm "
-                "decide; leave it out"
+                "set; omit it"
             )
         super().__init__(name, config)
 

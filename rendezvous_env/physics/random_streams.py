@@ -63,17 +63,16 @@ def later_key(key, count):
 
 @kernel
 def uniform(key, counter):
-    """Number of a stream at an index, without unit, uniform in [0, 1): the upper 53 bits of
-    ``word_of``, · 2⁻⁵³.
-    """
+    """Number of a stream at an index, without unit, uniform in [0, 1): 2⁻⁵³ · ⌊word/2¹¹⌋."""
     return np.float64(word_of(key, counter) >> _SHIFT_11) * _TO_UNIT_INTERVAL
 
 
 @kernel
 def draw_rotation(key, first_counter, axes):
-    """A uniformly distributed rotation R, row by row, 4 or 9 numbers without unit, by at most three
-    numbers of a stream, from an index on: in the plane by an angle 2πu, in 3-D of a uniform unit
-    quaternion (Shoemake, 1992). ``axes`` are (0, 1) or (0, 1, 2).
+    """Uniformly distributed rotation R, row by row, 4 or 9 numbers without unit.
+
+    Uses at most three numbers u of a stream: an angle 2πu in the plane, a uniform unit quaternion
+    in 3-D (Shoemake, 1992). ``axes`` are (0, 1) or (0, 1, 2).
     """
     turn = 2.0 * math.pi * uniform(key, first_counter)
     if len(axes) == 2:

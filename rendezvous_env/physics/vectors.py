@@ -14,7 +14,7 @@ X_AXIS = (1.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
 _MANY, _FEW = 2.0**600, 2.0**-600
 _VERTICAL = 1e-6
-"""A unit triple whose part in the xy plane is shorter than this has no direction there."""
+"""Minimum length in the xy plane of a unit triple that has a direction there."""
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""V, its rate and net bearings, of positions in the global frame: for analysis, never for a law."""
+"""V, its rate and net bearings from positions in the global frame, for analysis only."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ def _links(weights: Array) -> tuple[Any, Any, Any]:
 
 
 def _of_teams(of_team: Any, result: str, positions: ArrayLike, weights: ArrayLike) -> Array:
-    """A function of one team's positions and weights, for any leading axes."""
+    """Apply a function of one environment's positions and weights over leading axes."""
     p, a = floats("positions", positions), floats("weights", weights)
     if p.ndim < 2 or a.shape[-2:] != (p.shape[-2],) * 2:
         raise ValueError(

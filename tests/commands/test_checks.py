@@ -74,7 +74,7 @@ MISTAKES = {
     "compare --scenario duo --set robots=9": "--set robots=9: scenario has no field 'robots'; did",
     f"compare --scenario duo --set name={'ε' * 101}": "has 202 bytes; names of figures take 200",
     "compare --scenario duo --set n_robots=0": "--set n_robots=0: n_robots",
-    f"compare --scenarios {'a' * 300}.toml": "it is too long for a file",
+    f"compare --scenarios {'a' * 300}.toml": "it is too long for a path",
     f"compare --policies learned:{'a' * 300}": "File name too long",
     f"compare --out {'a' * 253}": "File name too long",
     "compare --scenarios duo --out /dev/null/out": "cannot write there",

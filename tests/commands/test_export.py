@@ -231,7 +231,7 @@ class TestErrors:
         path = tmp_path / "x.onnx"
         with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: cannot be read"):
             load(path, CLUTTER)
-        refused(path, signed(b"nothing of the kind"), r"x\.onnx: is no ONNX model")
+        refused(path, signed(b"nothing of the kind"), r"x\.onnx: is not an ONNX model")
         model = onnx.load(exported / "learned.onnx")
         place = [entry.key for entry in model.metadata_props].index(SETTINGS_KEY)
         plain = json.loads(model.metadata_props[place].value)

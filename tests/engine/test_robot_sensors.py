@@ -137,7 +137,7 @@ def test_sensors_that_are_equal_are_one():
 
 def test_sensor_of_one_robot_takes_no_list_even_of_equal_values():
     sensors = [rv.Sensing(noise=[0.1] * 5), *[rv.Sensing()] * 4]
-    with pytest.raises(ValueError, match=r"sensing\[0\].noise is \[0.1, .*one number in a list"):
+    with pytest.raises(ValueError, match=r"sensing\[0\].noise is \[0.1, .*one number, not a list"):
         PLANE.replace(sensing=sensors)
 
 

@@ -111,7 +111,7 @@ def test_observations_and_actions_are_optional():
     policy = law_of(DUO)
     plain = rollout(DUO, policy, num_envs=3)
     for name in ("observations", "actions"):
-        with pytest.raises(AttributeError, match=rf'{name} were not kept; .* record="{name}"'):
+        with pytest.raises(AttributeError, match=rf'{name} were not recorded; .* record="{name}"'):
             getattr(plain, name)
     whole = rollout(DUO, policy, num_envs=3, record="all")
     both = rollout(DUO, policy, num_envs=3, record=("actions", "observations"))
@@ -143,7 +143,7 @@ def test_unrecordable_policy_is_rejected(record):
 
 
 def test_large_recording_warns():
-    message = r"may keep .* GB.*; take fewer environments or steps, or record"
+    message = r"may keep .* GB.*; use fewer environments or steps, or record"
     with pytest.warns(UserWarning, match=message) as warned:
         with pytest.raises(ZeroDivisionError):
             rollout("clutter-24", lambda seen, time: 1 / 0, num_envs=20_000, record="all")

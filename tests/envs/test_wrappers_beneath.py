@@ -137,7 +137,7 @@ def test_guarantee_refuses_wrapper_that_changes_observations_or_actions(which, b
     env = GUARANTEES[which].around(Passing(beneath) if twice else beneath)
     name = "Turns" if between is turn_based else between.__name__
     what = "actions" if "Acting" in name or "Actions" in name else "observations"
-    remedy = "put it around the guarantee"
+    remedy = "apply it outside"
     with pytest.raises(RuntimeError, match=rf"{name}.*has changed {what}, .*{remedy}"):
         played(env)
     if what == "actions" or between is ObservingLater:

@@ -226,7 +226,7 @@ def largest_size(scenario: Scenario) -> float:
 
 @cache
 def _largest_size_in_box(n: int, edges: tuple[float, ...]) -> float:
-    # L is convex in every p_i, and no set of corners is larger than the sets that hold it
+    # L is convex in every p_i, and increases with the set of corners
     corners = np.array(list(itertools.product((0.0, 1.0), repeat=len(edges)))) * edges
     sets = itertools.combinations(corners, min(n, len(corners)))
     return max(size(np.array(places)) for places in sets)

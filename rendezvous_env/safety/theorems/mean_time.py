@@ -65,7 +65,7 @@ def detection_of(scenario: Scenario) -> Detection:
     """Detection probabilities, persistence and sample times of a scenario's sensor."""
     sensing, r = scenario.sensing, scenario.merge_radius
     table = np.array(sensing.detection or ((0.0, 1.0),))
-    table = table * (1.0, 1.0 - sensing.largest("dropout"))  # of the robot that detects least
+    table = table * (1.0, 1.0 - sensing.largest("dropout"))  # of the least detecting robot
     nearest = r * (_NEARER if sensing.detection else 1.0)
     first = nearest, float(np.interp(nearest, table[:, 0], table[:, 1]))
     d, p = np.vstack([first, table[table[:, 0] > nearest]]).T
