@@ -49,7 +49,7 @@ class ObservationBuilder:
         of rays. For opposite edges it is the first one; coplanar rays count as right-handed.
         """
         layout = self._layout
-        points = layout.silhouette_points, layout.dim
+        points = layout.rows_per_obstacle, layout.dim
         seen = _unit_vectors("bearings", bearings, points[1:], layout.neighbour_slots, "neighbours")
         edges = _unit_vectors("obstacles", obstacles, points, layout.obstacle_slots, "obstacles")
         down = _direction_of_gravity(gravity, layout.senses_gravity)

@@ -21,7 +21,7 @@ from rendezvous_env.adapters.torchrl import RendezvousEnv
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
 parser.add_argument("--updates", type=int, default=30)
-parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--num-envs", type=int, default=128)
 parser.add_argument("--steps", type=int, default=16)
 parser.add_argument("--held-out", type=int, default=200)
 parser.add_argument("--seed", type=int, default=0)
@@ -31,7 +31,7 @@ SEEN, ACTION = ("robots", "observation"), ("robots", "action")
 
 torch.manual_seed(given.seed)
 torch.set_num_threads(1)  # the networks are small
-env = RendezvousEnv(given.scenario, given.teams, seed=given.seed)
+env = RendezvousEnv(given.scenario, given.num_envs, seed=given.seed)
 held_out = RendezvousEnv(given.scenario, given.held_out)
 _, n, size = env.full_observation_spec[SEEN].shape
 actions = env.full_action_spec_unbatched[ACTION]

@@ -5,10 +5,13 @@ import pickle
 
 import pytest
 
+import baselines
 import rendezvous_env as rv
-from baselines import observation_builder, robot_sight
+from baselines import observation_builder, policy, robot_sight
 from rendezvous_env.deprecation import RenamedKeys, renamed_arguments, renamed_attribute
 from rendezvous_env.envs import training
+from train import compare
+from train.leaderboard import command
 from train.learn.settings import Config
 
 NUM_ENVS = pytest.warns(DeprecationWarning, match="num_teams is called num_envs now")
@@ -101,6 +104,17 @@ def test_config_accepts_former_names_in_calls_and_in_stored_runs():
     stored["num_teams"] = stored.pop("num_envs")
     stored["touch_penalty"] = stored.pop("contact_penalty")
     assert Config.from_plain(stored) == config
+    with pytest.warns(DeprecationWarning, match="eval_starts is called eval_episodes now"):
+        config = Config(eval_starts=7)
+    assert config == Config(eval_episodes=7)
+    stored = config.to_plain()
+    stored["eval_starts"] = stored.pop("eval_episodes")
+    assert Config.from_plain(stored) == config
+
+
+def test_leaderboard_accepts_starts():
+    with pytest.warns(DeprecationWarning, match="starts is called episodes now"):
+        assert command.Config(starts=7) == command.Config(episodes=7)
 
 
 def test_former_name_of_observation_batch_warns():
@@ -140,3 +154,40 @@ def test_former_names_of_vector_environments_warn():
         assert slots.num_teams == slots.batch_size == 3
     with pytest.warns(DeprecationWarning, match="RobotSlots.teams is called vector_env"):
         assert slots.teams is slots.vector_env
+
+
+FORMER_POLICIES = {
+    "tangent-joined": "tangent-merged",
+    "tangent-joined-certified": "tangent-merged-certified",
+    "tangent-joined-tuned": "tangent-merged-tuned",
+    "tank-joined": "tank-merged",
+}
+
+
+@pytest.mark.parametrize(("old", "new"), FORMER_POLICIES.items())
+def test_former_policy_names_make_the_same_policy(old, new):
+    said = f"policy '{old}' is called '{new}' now"
+    with pytest.warns(DeprecationWarning, match=f"^{said}$") as warned:
+        made = baselines.make(old, "clutter-8")
+    assert warned[0].filename == __file__ and type(made) is type(baselines.make(new, "clutter-8"))
+    assert old not in baselines.names() and new in baselines.names()
+    for read in (policy.kind_of, policy.about, policy.builder_of, policy.on_request):
+        assert read(old) == read(new)
+    with pytest.warns(DeprecationWarning, match=said):
+        config = compare.Config(policies=(f"mine={old}", "learned"), against=old)
+    assert config == compare.Config(policies=(f"mine={new}", "learned"), against=new)
+
+
+def test_user_policy_may_have_a_former_name(monkeypatch):
+    monkeypatch.setattr(policy, "_registry", policy._registry.copy())
+    with pytest.raises(KeyError):
+        policy.about("tangent-joined-own")
+    policy.register("tank-joined", lambda scenario: True)(lambda scenario: len)
+    assert policy.current_name("tank-joined") == "tank-joined"
+    assert baselines.make("tank-joined", "duo") is len
+
+
+def test_former_name_of_rows_per_obstacle_warns():
+    layout = rv.scenarios.get("clutter-8").observation_layout
+    with pytest.warns(DeprecationWarning, match="silhouette_points is called rows_per_obstacle"):
+        assert layout.silhouette_points == layout.rows_per_obstacle == 2

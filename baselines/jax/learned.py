@@ -21,7 +21,7 @@ from ..policy import AT_PATH
 from ..steering import WITHIN
 from .arrays import Array, divided, parts_of, where
 from .features import FeatureMemory, Motion, features, no_memory
-from .merged_intervals import direction_of, joined_headings
+from .merged_intervals import direction_of, merged_headings
 from .policy import (
     JaxPolicy,
     Memory,
@@ -196,7 +196,7 @@ class Learned(JaxPolicy):
         f = parts_of(net)
         aside = array_form(rotated)(f, self._angles[kept.choices])[:2]
         rule = settings.clearance, carried, settings.persistence
-        raw = joined_headings(direction_of(aside), seen.obstacles, *rule)
+        raw = merged_headings(direction_of(aside), seen.obstacles, *rule)
         if self._has_tank:
             account = account_of(f, degree, robot)
             law_speed = array_form(scale_of_step)(degree, robot.merge_radius, robot.gate.duration)

@@ -112,7 +112,7 @@ class GuidedTeams:
 
         show → (a network chooses) → choose, or head → apply:  raw = rule(R(φ) f)
 
-    The robots follow the rule of ``tangent-joined-tuned`` with f rotated by their choices. The raw
+    The robots follow the rule of ``tangent-merged-tuned`` with f rotated by their choices. The raw
     vector becomes a certified heading, or with tanks any heading that the stored energy allows.
     Unicycles turn as their gate or tank allows, with memory in ``OdometryFrame``. In 3-D all of
     this takes place in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is called

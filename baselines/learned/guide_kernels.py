@@ -16,13 +16,13 @@ from rendezvous_env.physics.vectors import load, load_pair, norm, scaled, split,
 from rendezvous_env.safety.heading import scale_of_step
 from rendezvous_env.safety.robot_lanes import LANES, give_out, lanes_of, room_for, sum_rows, take_in
 
-from ..obstacle_rules.merged_silhouettes_2d import (
+from ..obstacle_rules.merged_intervals_2d import (
     comes_near,
     heading_past,
     interval_around,
     least_square_cosine,
 )
-from ..obstacle_rules.silhouettes import list_seen
+from ..obstacle_rules.obstacle_edges import list_seen
 from ..steering import WITHIN
 
 

@@ -26,7 +26,7 @@ from train.learn.settings import EVALUATION_SEEDS
 
 SMALL = command.Config(
     algorithms=("bearing-only", "ppo-heading"), fields=("clutter-8",), seeds=(0, 1), decisions=64,
-    starts=8, jobs=1,
+    episodes=8, jobs=1,
 )  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
         said = capsys.readouterr().err
         assert "results differ" in said and f"{where} the 95 % interval of the difference" in said
     wrong = [{"seed": seed} for seed in ("a", True, 1.0, -1, 2**29)]
-    wrong += [{"starts": 7}, {"starts": 0}, {"decisions": "64"}, {"guarantee": "all"}]
+    wrong += [{"episodes": 7}, {"episodes": 0}, {"decisions": "64"}, {"guarantee": "all"}]
     wrong += [{"versions": 1}, {"field": "mine/clutter-8-v1"}]
     for own in ({"time": [1.0]}, {"time": [np.nan] * 8}, {"steps": [0] * 8}, {"clean": [7] * 8}):
         wrong.append({"results": changed["results"] | own})
@@ -189,6 +189,27 @@ def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
     other.unlink()
     with pytest.raises(UserError, match="no results card"):
         command.run(replace(SMALL, repeat=other))
+
+
+def test_record_with_former_entry_is_read(tmp_path):
+    source = ROOT / "results/leaderboard/smoke/cells/bearing-only/clutter-8-v1-seed-0.json"
+    text, path = source.read_text(), tmp_path / source.name
+    path.write_text(text.replace('"episodes": ', '"starts": '))
+    assert path.read_text() != text
+    assert cards_of.read_card(path) == cards_of.read_card(source) == json.loads(text)
+
+
+def test_folder_with_former_algorithm_names_is_read_but_not_extended(tmp_path):
+    folder = tmp_path / "out/cells/tank-joined"
+    folder.mkdir(parents=True)
+    source = ROOT / "results/leaderboard/smoke/cells/tank-merged/clutter-8-v1-seed-0.json"
+    (folder / source.name).write_text(source.read_text().replace("tank-merged", "tank-joined"))
+    [card] = cards_of.read_cards(tmp_path / "out")
+    assert card["algorithm"] == "tank-joined"
+    assert registry.find("tank-joined") is registry.find("tank-merged")
+    asked = replace(SMALL, out=tmp_path / "out", algorithms=("tank-merged",), episodes=50)
+    with pytest.raises(UserError, match="runs of tank-joined, which is called tank-merged now; ch"):
+        command.run(asked)
 
 
 def test_misplaced_record_is_rejected(board, tmp_path):
@@ -218,18 +239,18 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
     done, run_of = [], command.run_of
     shutil.copytree(board, out := tmp_path / "out")
     monkeypatch.setattr(command, "run_of", lambda *given: done.append(given[0]) or run_of(*given))
-    more = replace(SMALL, algorithms=("tank-joined", "bearing-only"), out=out)
+    more = replace(SMALL, algorithms=("tank-merged", "bearing-only"), out=out)
     assert command.run(more) == 0
-    assert [place.name for place in done] == ["tank-joined/clutter-8-v1-seed-0"]
+    assert [place.name for place in done] == ["tank-merged/clutter-8-v1-seed-0"]
     names = [row["algorithm"] for row in command.results.read_csv(out / "leaderboard.csv")]
-    assert sorted(names) == ["bearing-only", "ppo-heading", "tank-joined"]
+    assert sorted(names) == ["bearing-only", "ppo-heading", "tank-merged"]
     for card in (board / "cells").glob("*/*.json"):
         assert (out / card.relative_to(board)).read_bytes() == card.read_bytes()
     capsys.readouterr()
-    for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"starts": 9}):
+    for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"episodes": 9}):
         with pytest.raises(UserError, match="do not stand in one table"):
             command.run(replace(more, **changes))
-    path = out / "cells" / "tank-joined" / "clutter-8-v1-seed-0.json"
+    path = out / "cells" / "tank-merged" / "clutter-8-v1-seed-0.json"
     path.write_text(path.read_text().replace(scenarios.digests()["clutter-8-v1"], "0" * 64))
     with pytest.raises(UserError, match="digest of other initial conditions"):
         command.run(more)
@@ -263,7 +284,7 @@ def test_missing_libraries_are_skipped_or_named(monkeypatch, capsys, tmp_path):
     """Missing packages are skipped by default, and an error for explicit names."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
     named = {place.algorithm for place in command.plan(command.Config())}
-    assert named == {"bearing-only", "tangent-joined-tuned", "tank-joined"}
+    assert named == {"bearing-only", "tangent-merged-tuned", "tank-merged"}
     with pytest.raises(UserError, match=r"'qmix-none' needs torch, torchrl, tensordict, benchmarl"):
         command.plan(command.Config(algorithms=("qmix-none",)))
     monkeypatch.setattr(command, "play_all", lambda *given: (defaultdict(dict), 0.0))
@@ -278,7 +299,7 @@ def test_invalid_leaderboard_settings_are_rejected():
         ({"fields": ("clutter-8-v2",)}, "of another version"),
         ({"fields": ("uav-6",), "algorithms": ("ppo-tank",)}, "none of these algorithms fits"),
         ({"seeds": (1, 1)}, "named twice"),
-        ({"starts": 0}, "--starts is 0"),
+        ({"episodes": 0}, "--episodes is 0"),
         ({"seeds": (3_000_000_000,)}, "--seeds is 3000000000; it must be 536870911 or less"),
     ):
         with pytest.raises(UserError, match=said):
@@ -334,7 +355,7 @@ def test_shipped_records_reproduce_tables(tier, monkeypatch):
     for line in table_of(exact):
         assert re.sub(r" \([\d.]+ to [\d.]+\)", "", line) in without
     monkeypatch.undo()
-    some = ("ppo-heading", "ppo-lagrangian", "tank-joined")
+    some = ("ppo-heading", "ppo-lagrangian", "tank-merged")
     assert all(line in page for line in table_of([c for c in exact if c["algorithm"] in some]))
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for name, start in (("none", "| nothing"), ("heading", "| rule, **headings**")):

@@ -21,8 +21,8 @@ from train.learn.settings import EVALUATION_SEEDS
 from train.recording import MAX_FRAMES
 
 RULES = command.Config(
-    algorithms=("bearing-only", "tank-joined"), fields=("clutter-8", "unicycle-clutter-16"),
-    starts=10, jobs=1,
+    algorithms=("bearing-only", "tank-merged"), fields=("clutter-8", "unicycle-clutter-16"),
+    episodes=10, jobs=1,
 )  # fmt: skip
 
 
@@ -54,8 +54,8 @@ def kept_of(board, card):
 def test_replay_matches_record_and_initial_condition(board):
     found = cards_of.read_cards(board)
     assert [(card["algorithm"], card["field"]) for card in found] == [
-        ("bearing-only", "rendezvous/clutter-8-v1"), ("tank-joined", "rendezvous/clutter-8-v1"),
-        ("tank-joined", "rendezvous/unicycle-clutter-16-v1"),
+        ("bearing-only", "rendezvous/clutter-8-v1"), ("tank-merged", "rendezvous/clutter-8-v1"),
+        ("tank-merged", "rendezvous/unicycle-clutter-16-v1"),
     ]  # fmt: skip
     for card in found:
         check_agreement(card, kept_of(board, card))

@@ -188,9 +188,9 @@ def test_capsule_in_3d_is_drawn_as_balls(radius, count):
 
 
 def test_figure_shows_capsule():
-    found = rv.rollout(LOG, baselines.make("tangent-joined", LOG), options=BESIDE)
+    found = rv.rollout(LOG, baselines.make("tangent-merged", LOG), options=BESIDE)
     recording = reproduce.one_team(found)
-    path_figures.team_figure(LOG, recording, "tangent-joined").canvas.draw()
+    path_figures.team_figure(LOG, recording, "tangent-merged").canvas.draw()
     (part,) = outlines(recording["obstacles"], 2)
     assert len(part.vertices) == 34 and part.centre.tolist() == [0.0, 0.0]
     assert np.hypot(*part.vertices.T).max() == pytest.approx(np.hypot(2, 1) + 0.5)
@@ -282,7 +282,7 @@ def test_numbers_stand_beside_robots():
 
 def test_the_header_names_the_policy_and_the_legend_explains_marks():
     env, bare = drawn("fig4")
-    env.renderer.policy = "tangent-joined"
+    env.renderer.policy = "tangent-merged"
     named = env.render()
     changed = np.argwhere((bare != named).any(axis=-1))
     assert len(changed) > 100 and changed[:, 0].max() < 30  # in the header alone

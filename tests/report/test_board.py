@@ -172,9 +172,9 @@ def test_click_on_cell_opens_replay(page, board):
     page.keyboard.press("ArrowRight")
     assert 0.0 < clock(page) < 2.0
     with reloaded(page):
-        cell(page, "tank-joined", 1).locator("a").press("Enter")
+        cell(page, "tank-merged", 1).locator("a").press("Enter")
     assert page.input_value("#scenario") == "rendezvous/clutter-8-v1"
-    assert "tank-joined" in chosen(page) and clock(page) == 0.0
+    assert "tank-merged" in chosen(page) and clock(page) == 0.0
 
 
 @pytest.mark.slow

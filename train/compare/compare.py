@@ -190,14 +190,14 @@ def write(part: RunCheckpoint, found: Found, config: Config) -> list[str]:
 
 def description(config: Config, found: Found, timing: dict[str, float]) -> dict[str, Any]:
     """Content of run.json without the digests."""
-    starts = {done.job.scenario: len(done.episodes.success) for done in found.played}
+    counts = {done.job.scenario: len(done.episodes.success) for done in found.played}
     return results.provenance() | {
         "seed": config.seed,
-        "episodes": config.episodes or max(starts.values()),
-        "keep": max(min(config.kept(one), config.starts(one)) for one in starts),
-        "starts": {scenario.name: count for scenario, count in starts.items()},
-        "scenarios": {scenario.name: scenario.to_plain() for scenario in starts},
-        "versioned": {scenario.name: results.versioned(scenario) for scenario in starts},
+        "episodes": config.episodes or max(counts.values()),
+        "keep": max(min(config.kept(one), config.count(one)) for one in counts),
+        "initial_conditions": {scenario.name: count for scenario, count in counts.items()},
+        "scenarios": {scenario.name: scenario.to_plain() for scenario in counts},
+        "versioned": {scenario.name: results.versioned(scenario) for scenario in counts},
         "policies": {name: list(own) for name, own in by_scenario(found.played).items()},
         "labels": {one.job.label: one.job.policy for one in found.played if one.job.label},
         "merges_above_bound": found.excess,
@@ -212,7 +212,7 @@ def write_summary(path: Path, found: Found, about: Mapping[str, Any]) -> None:
     """
     scenarios = {
         ranking.scenario: {
-            "starts": ranking.starts,
+            "initial_conditions": ranking.count,
             "best": ranking.best if ranking.is_contest else None,
             "tied": list(ranking.tied),
             "references": list(ranking.references),

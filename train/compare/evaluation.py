@@ -80,8 +80,8 @@ class Episodes:
         columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
         free = [None if value != value else int(value) for value in self.collision_free]
         columns["collision_free"] = free
-        for start in range(len(self.success)):
-            yield {"start": start} | {name: values[start] for name, values in columns.items()}
+        for k in range(len(self.success)):
+            yield {"initial_condition": k} | {name: values[k] for name, values in columns.items()}
 
 
 def play(

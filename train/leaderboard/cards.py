@@ -22,14 +22,14 @@ Card = dict[str, Any]
 Run = tuple[Card, Replay | None]
 _TYPES = {
     **dict.fromkeys(("algorithm", "safety", "given", "field", "digest"), str),
-    **dict.fromkeys(("seed", "decisions", "starts"), int),
+    **dict.fromkeys(("seed", "decisions", "episodes"), int),
     "guarantee": Literal["none", "heading", "tank"],
     "versions": dict[str, str],
     **dict.fromkeys(("learning_s", "playing_s"), float),
     "results": dict[str, list[float]],
 }
 """Types of the entries of a run record that tables and pages read."""
-_BOUNDS = ("seed", 0, MAX_SEED), ("decisions", 0, 2**62), ("starts", 1, 2**62)
+_BOUNDS = ("seed", 0, MAX_SEED), ("decisions", 0, 2**62), ("episodes", 1, 2**62)
 _RESULTS = ("success", "clean", "time", "touches", "risen", "rise", "steps")
 
 
@@ -40,7 +40,7 @@ class RunKey(NamedTuple):
     field: str  # with version, without namespace
     seed: int
     decisions: int  # 0 of what does not learn
-    starts: int
+    episodes: int
 
     @property
     def name(self) -> str:
@@ -53,7 +53,7 @@ class RunKey(NamedTuple):
         budget = f" --decisions {self.decisions}" if self.decisions else ""
         return (
             f"rendezvous leaderboard --algorithms {self.algorithm} --fields {self.field} "
-            f"--seeds {self.seed}{budget} --starts {self.starts}"
+            f"--seeds {self.seed}{budget} --episodes {self.episodes}"
         )
 
 
@@ -67,7 +67,7 @@ def run_of(place: RunKey, record: bool) -> Run:
     began = time.perf_counter()
     player, settings = algorithm.learn(scenario, place.seed, registry.Budget(place.decisions))
     learned = time.perf_counter()
-    found = play(player(place.starts))
+    found = play(player(place.episodes))
     played = time.perf_counter()
     card = {
         "algorithm": place.algorithm,
@@ -78,7 +78,7 @@ def run_of(place: RunKey, record: bool) -> Run:
         **results.versioned(scenario),
         "seed": place.seed,
         "decisions": place.decisions,
-        "starts": place.starts,
+        "episodes": place.episodes,
         "settings": settings,
         "command": place.command,
         "versions": results.provenance(algorithm.packages)["versions"],
@@ -86,7 +86,7 @@ def run_of(place: RunKey, record: bool) -> Run:
         "playing_s": round(played - learned, 1),
         "results": found,
     }
-    return card, replay_of(found, player(place.starts)) if record else None
+    return card, replay_of(found, player(place.episodes)) if record else None
 
 
 def write_run(folder: Path, card: Card, replay: Replay | None) -> None:
@@ -125,7 +125,7 @@ def read_cards(out: Path) -> list[Card]:
 def read_card(path: Path) -> Card:
     """Read a run record of this version's scenarios; a UserError if it is not one."""
     try:
-        card = dict(plain_data.read_json(path))
+        card = _in_current_words(plain_data.read_json(path))
         plain_data.check_types(card, _TYPES)
         field = results.versioned(scenarios.get(place_of(card).field))
         if field["digest"] != card["digest"]:
@@ -134,8 +134,8 @@ def read_card(path: Path) -> Card:
             raise ValueError(f"field is {card['field']!r}; it must be {field['field']!r}")
         for key, least, most in _BOUNDS:
             check_int(key, card[key], least, most)
-        if any(len(card["results"][name]) != card["starts"] for name in _RESULTS):
-            raise ValueError("other number of initial conditions")
+        if any(len(card["results"][name]) != card["episodes"] for name in _RESULTS):
+            raise ValueError("other number of episodes")
         numbers = np.array([card["results"][name] for name in _RESULTS], np.float64)
         sound = np.isfinite(numbers) & (numbers >= 0.0)
         if not sound.all() or not (numbers[:2] <= 1.0).all() or not numbers[-1].any():
@@ -145,7 +145,12 @@ def read_card(path: Path) -> Card:
     return card
 
 
+def _in_current_words(card: Card) -> Card:
+    """Entries of a record, also of one whose entry "episodes" has its former name."""
+    return {"episodes" if key == "starts" else key: value for key, value in card.items()}
+
+
 def place_of(card: Card) -> RunKey:
     """Identity of the run that a record describes."""
     field = card["field"].partition("/")[2]
-    return RunKey(card["algorithm"], field, card["seed"], card["decisions"], card["starts"])
+    return RunKey(card["algorithm"], field, card["seed"], card["decisions"], card["episodes"])

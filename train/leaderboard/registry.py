@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError, unknown_name
+from ..checks import UserError, current_policy, unknown_name
 from .playing import Player
 
 
@@ -60,7 +60,12 @@ def known() -> dict[str, Algorithm]:
 
 
 def find(name: str) -> Algorithm:
-    """Algorithm by name; a UserError if it is unknown or a package is missing."""
+    """Algorithm by name, also a deprecated one.
+
+    Raises:
+        UserError: if it is unknown or a package is missing.
+    """
+    name = current_policy(name)
     if name not in known():
         raise unknown_name("algorithm", name, known())
     if missing := known()[name].missing:

@@ -122,7 +122,7 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
     minutes = sum(card["learning_s"] + card["playing_s"] for card in cards) / 60.0
     return (
         f"# Leaderboard\n\n{fields}; {counted(seeds, 'seed')}; {most:,} decisions of robots for "
-        f"each learner; {counted(cards[0]['starts'], 'held-out initial condition')} a run; "
+        f"each learner; {counted(cards[0]['episodes'], 'held-out initial condition')} a run; "
         f"{minutes:.0f} minutes in all, run after run.\n\n"
         f"{told}\n\nInterquartile means over runs with 95 % intervals, a bootstrap over seeds "
         "stratified by scenario; methods without learning have one run per scenario. V rose: robot "

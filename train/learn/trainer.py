@@ -245,7 +245,7 @@ class Trainer:
                 scenario,
                 partial(LearnedPolicy, scenario, weights, settings),
                 margin=None if scenario.model.nonholonomic else settings.promised_margin,
-                episodes=config.eval_starts,
+                episodes=config.eval_episodes,
                 seed=EVALUATION_SEEDS,
             )
             numbers = statistics.summarise(scenario, "learned", episodes)

@@ -37,7 +37,7 @@ SCENARIO = Scenario(
     obstacle_slots=24,
 )
 """``clutter-8`` at half its size, with lamps of diameter 0.4 m as robots."""
-POLICIES = ("bearing-only", "tangent-joined-tuned", "learned", "learned-tank")
+POLICIES = ("bearing-only", "tangent-merged-tuned", "learned", "learned-tank")
 
 Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Found | None]], None]
 """Callback before every step: simulator, cameras, images, detections."""

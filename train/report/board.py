@@ -109,7 +109,7 @@ def _about(found: list[cards.Card], replays: int) -> str:
     lines = {
         "Fields": ", ".join(fields.values()),
         "Budget": f"{' or '.join(map(str, learned)) or 'no'} decisions of robots for each learner, "
-        f"{counted(found[0]['starts'], 'held-out initial condition')} a run",
+        f"{counted(found[0]['episodes'], 'held-out initial condition')} a run",
         "Seeds": ", ".join(map(str, sorted({card["seed"] for card in found}))),
         "Versions": ", ".join(versions),
         "Replays": f"of {replays} of {counted(len(found), 'run')}: the first held-out initial "

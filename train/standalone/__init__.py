@@ -389,7 +389,7 @@ def corner_ticks(scenario: Scenario) -> list[list[tuple[Any, ...]]]:
     ahead, left = np.eye(d)[:1], np.eye(d)[1:2]
     pairs = [(left, -left), (ahead, -ahead), (ahead, ahead)]
     neighbours = [np.zeros((0, d)), -ahead, *map(np.concatenate, pairs)]
-    obstacles = [np.zeros((0, layout.silhouette_points, d))]
+    obstacles = [np.zeros((0, layout.rows_per_obstacle, d))]
     if layout.obstacle_slots:
         obstacles.append(_silhouettes(ahead, np.full((1, 1, 1), 0.5)))
     told = {"gravity": -np.eye(3)[2]} if layout.senses_gravity else {}

@@ -20,7 +20,7 @@ NAMES = tuple(
     for safety in ("none", "heading")
 )
 SMALL = command.Config(
-    algorithms=NAMES, fields=("clutter-8",), seeds=(0,), decisions=2**12, starts=4, jobs=1
+    algorithms=NAMES, fields=("clutter-8",), seeds=(0,), decisions=2**12, episodes=4, jobs=1
 )
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
 

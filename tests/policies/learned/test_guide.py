@@ -5,8 +5,8 @@ import pytest
 from geometry import along
 
 from baselines.learned.guide_kernels import Rule, aim, room_for_aim, unit_vectors
-from baselines.obstacle_rules.merged_silhouettes_2d import joined_headings_2d
-from baselines.obstacle_rules.silhouettes import list_seen
+from baselines.obstacle_rules.merged_intervals_2d import merged_headings_2d
+from baselines.obstacle_rules.obstacle_edges import list_seen
 from rendezvous_env.compilation import kernel
 from rendezvous_env.safety.safety_filter import over_robots
 
@@ -53,7 +53,7 @@ def test_aim_equals_rule_of_single_robots_bitwise(num_envs, clearance):
     silhouettes = seen[:, :, K:].reshape(robots, M, 2, 2)
     wanted = np.empty((robots, 2))
     given = clearance, carried.reshape(robots, 2), rule.persistence
-    joined_headings_2d(turned, silhouettes, *given, wanted)
+    merged_headings_2d(turned, silhouettes, *given, wanted)
     found = aimed(seen, turns, carried, np.empty_like(turns), rule)
     np.testing.assert_array_equal(found.reshape(robots, 2), wanted)
     own = carried.copy()  # the headings may be overwritten

@@ -13,7 +13,7 @@ from baselines.learned.features import Features
 from baselines.learned.guide import GuidedTeams
 from baselines.learned.policy_settings import ALL_ROUND, ANGLES, CHOICES
 from baselines.learned.training_environment import FeatureVectorEnv
-from baselines.obstacle_rules.obstacle_avoidance import tangent_joined_heading
+from baselines.obstacle_rules.obstacle_avoidance import tangent_merged_heading
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.vector import HeadingVectorWrapper, training_env
 from train.learn.checkpoint import flatten, unflatten
@@ -32,7 +32,7 @@ def aim(observations, choices, carried):
     turned = np.stack((c * x - s * y, s * x + c * y), axis=-1)
     limits = {"clearance": HEADING.clearance, "persistence": HEADING.persistence}
     obstacles = layout.split(observations).obstacles
-    return tangent_joined_heading(turned, obstacles, carried=carried, **limits)
+    return tangent_merged_heading(turned, obstacles, carried=carried, **limits)
 
 
 def teams(settings=HEADING, mode=AutoresetMode.SAME_STEP, scenario=SCENARIO, **options):

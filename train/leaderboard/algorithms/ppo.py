@@ -124,7 +124,7 @@ ALGORITHMS = {
         limit=0.1,
     ),
     "ppo-rule": algorithm(
-        "PPO whose choices the joined rule leads round obstacles; a first touch costs 1",
+        "PPO over the merged-intervals rule, which avoids obstacles; a first contact costs 1",
         "rule",
         "rule",
     ),

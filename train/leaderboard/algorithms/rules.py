@@ -38,6 +38,6 @@ def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -
 
 ALGORITHMS = {
     "bearing-only": _rule("bearing-only", "law (1)", "heading"),
-    "tangent-joined-tuned": _rule("tangent-joined-tuned", "rule", "heading"),
-    "tank-joined": _rule("tank-joined", "rule", "tank"),
+    "tangent-merged-tuned": _rule("tangent-merged-tuned", "rule", "heading"),
+    "tank-merged": _rule("tank-merged", "rule", "tank"),
 }

@@ -1,11 +1,11 @@
 """Headings at the edges of obstacles, as kernels over robots.
 
-Silhouette points of an obstacle are S unit vectors in the robot's own frame. In the plane they are
-the counter-clockwise and the clockwise edge, in 3-D eight boundary rays of a cone. An obstacle
-whose first point is exactly zero is not visible. All kernels take net bearings (N, d) float64 and
-silhouettes (N, M, S, d) of any float type, and write unit headings (N, d). Without a net bearing,
-the heading is the robot's x axis. Overlapping silhouettes are merged in ``merged_silhouettes_2d``
-and ``_3d``.
+The angular extent of an obstacle is given by S unit vectors in the robot's own frame. In the plane
+they are the counter-clockwise and the clockwise edge, in 3-D eight boundary rays of a cone. An
+obstacle whose first vector is exactly zero is not visible. All kernels take net bearings (N, d)
+float64 and angular extents (N, M, S, d) of any float type, and write unit headings (N, d). Without
+a net bearing, the heading is the robot's x axis. Overlapping extents are merged in
+``merged_intervals_2d`` and ``merged_cones_3d``.
 """
 
 import math

@@ -7,11 +7,11 @@ import numpy as np
 from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.vectors import combine, dot, load, split, store, without
 
-from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen, middle_of, unit
+from .obstacle_edges import STRAIGHT_AHEAD, direction_of, is_seen, middle_of, unit
 
 
 @kernel(allocates=True)
-def joined_headings_3d(net_bearing, silhouettes, clearance, out):
+def merged_headings_3d(net_bearing, silhouettes, clearance, out):
     """Headings towards a free direction next to the merged cones that block f.
 
     Cones whose angular discs overlap, directly or through others, are merged. f is blocked if it

@@ -8,7 +8,7 @@ from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.vectors import X_AXIS, cross_in_plane, dot, load, rotated, store
 from rendezvous_env.safety.turning import mean_axis
 
-from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
+from .obstacle_edges import STRAIGHT_AHEAD, direction_of, is_seen
 
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
@@ -18,7 +18,7 @@ _FAR = 100.0  # rad; bound of sums of angles in this module
 
 
 @kernel(allocates=True)
-def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence, out):
+def merged_headings_2d(net_bearing, silhouettes, clearance, carried, persistence, out):
     """Headings towards the nearer edge of the merged interval that blocks f.
 
     Silhouettes that overlap, directly or through others, are merged into one interval of angles. If
@@ -35,12 +35,12 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
     for i in range(out.shape[0]):
         towards, before = direction_of(net_bearing[i]), load(carried[i])
         rule = clearance, persistence
-        store(joined_heading_2d(towards, silhouettes[i], before, rule, intervals), out[i])
+        store(merged_heading_2d(towards, silhouettes[i], before, rule, intervals), out[i])
 
 
 @inner_kernel
-def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
-    """``joined_headings_2d`` of one robot, in triples; ``rule`` is clearance and persistence."""
+def merged_heading_2d(towards, silhouettes, carried, rule, intervals):
+    """``merged_headings_2d`` of one robot, in triples; ``rule`` is clearance and persistence."""
     if is_clear(towards, silhouettes, rule[0]):
         return towards
     count = intervals_around(towards, silhouettes, intervals)
@@ -49,7 +49,7 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
 
 @inner_kernel
 def heading_past(towards, intervals, carried, rule):
-    """Heading past merged intervals (count, 2) around a unit triple, see ``joined_headings_2d``."""
+    """Heading past merged intervals (count, 2) around a unit triple, see ``merged_headings_2d``."""
     clearance, persistence = rule
     low, high, gap_below, gap_above = merged_interval(intervals)
     turn = 0.0
@@ -120,7 +120,7 @@ def axis_is_clear(rates, silhouettes, gate):
 
 
 @inner_kernel
-def joined_interval_2d(towards, silhouettes, intervals):
+def merged_interval_2d(towards, silhouettes, intervals):
     """Interval of angles covered by silhouettes (M, 2, 2) around a unit triple, after merging.
 
     Results as ``merged_interval``. ``intervals``, (M, 2), is working memory.
