@@ -252,7 +252,7 @@ def test_training_env_logs_missing_guarantee_once(caplog):
     for scenario, given, words in (
         ("noisy-8", {}, ["no rendezvous is certified in"]),
         ("ring-12", {}, []),
-        (erring, {}, ["in 'custom': pass bearing_error=0.01, the most"]),
+        (erring, {}, ["in 'custom': pass bearing_error=0.01, the maximum"]),
         (erring, {"bearing_error": 0.01}, []),
     ):
         caplog.clear()

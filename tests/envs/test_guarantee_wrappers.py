@@ -263,7 +263,7 @@ def test_activity_beneath_wrapper_requires_reset(which):
             lambda base=base, actions=actions: base.step(actions),
         ):
             disturb()
-            with pytest.raises(RuntimeError, match=rf"{GUARANTEES[which].name}.*beneath its wrap"):
+            with pytest.raises(RuntimeError, match=rf"{GUARANTEES[which].name}.*without it"):
                 env.step(choices)
             if state is None:
                 env.reset(seed=0)

@@ -34,7 +34,7 @@ def test_reset_refuses_fields_of_the_scenario_as_options(form):
             env.reset(options={name: 3})
     np.testing.assert_equal(env.unwrapped.simulator.get_state(), before)
     env.reset(options={"minari_autoseed": True, "note": 1})  # of others, ignored
-    with pytest.raises(ValueError, match="'n_robots' is of the scenario"):
+    with pytest.raises(ValueError, match="'n_robots' is a field of the scenario"):
         env.reset(options={"n_robots": None})
 
 

@@ -148,7 +148,7 @@ def test_guarantee_refuses_wrapper_that_changes_observations_or_actions(which, b
 @WHICH
 @pytest.mark.parametrize("between", [Stacking, ActingInOtherUnits])
 def test_guarantee_refuses_wrapper_that_changes_spaces(which, between):
-    with pytest.raises(TypeError, match=rf"under {between.__name__}, which changes the spaces"):
+    with pytest.raises(TypeError, match=rf"in {between.__name__}, which changes the spaces"):
         GUARANTEES[which].around(Passing(between(rv.parallel_env(SCENARIO))))
 
 
@@ -217,7 +217,7 @@ def test_vector_guarantee_refuses_wrapper_that_changes_spaces():
             space = env.single_action_space
             self.single_action_space = Box(-1.0, 1.0, space.shape, space.dtype)
 
-    with pytest.raises(TypeError, match="under Units, which changes the spaces"):
+    with pytest.raises(TypeError, match="in Units, which changes the spaces"):
         vector.HeadingVectorWrapper(Units(rv.make_vec("fig3", 2)))
 
 

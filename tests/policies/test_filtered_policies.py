@@ -181,7 +181,7 @@ class TestFunctions:
         seen, raw = np.zeros((3, n, *layout.shape)), np.zeros((3, n, 2))
         raw[1, 2, 0] = np.nan
         for choice, given, message in (
-            ([0.0, 1.0], seen, rf"choose gave .* \(2,\); .* \(3, {n}, 2\)"),
+            ([0.0, 1.0], seen, rf"choose returned .* \(2,\); .* \(3, {n}, 2\)"),
             (raw, seen, "action of robot_2 in environment 1 is"),
             (raw, seen[:, :1], "observations have shape"),
         ):

@@ -39,7 +39,7 @@ class RunKey(NamedTuple):
     algorithm: str
     field: str  # with version, without namespace
     seed: int
-    decisions: int  # 0 of what does not learn
+    decisions: int  # 0 without training
     episodes: int
 
     @property
@@ -118,7 +118,7 @@ def read_cards(out: Path) -> list[Card]:
     found = {path: read_card(path) for path in (out / "cells").glob("*/*.json")}
     for path, card in found.items():
         if path != path_in(out, card):
-            raise UserError(f"{path}: is the card of {place_of(card).name}; remove it")
+            raise UserError(f"{path}: is the record of {place_of(card).name}; remove it")
     return sorted(found.values(), key=place_of)
 
 
@@ -139,9 +139,9 @@ def read_card(path: Path) -> Card:
         numbers = np.array([card["results"][name] for name in _RESULTS], np.float64)
         sound = np.isfinite(numbers) & (numbers >= 0.0)
         if not sound.all() or not (numbers[:2] <= 1.0).all() or not numbers[-1].any():
-            raise ValueError("results that cannot be")
+            raise ValueError("invalid results")
     except (OSError, KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise UserError(f"{path}: no results card of this version ({error})") from error
+        raise UserError(f"{path}: not a run record of this version ({error})") from error
     return card
 
 
