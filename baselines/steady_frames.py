@@ -327,7 +327,7 @@ def _turn_in_planes(teams, actions, way, memory, velocities):
             store(_in_plane(velocity, plane), velocities[team, i])
 
 
-class SteadyPlanes(_Bodies):
+class OdometryPlane(_Bodies):
     """Planes of the 3-D robots of B environments; the counterpart of ``OdometryFrame``.
 
         (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + rotation of f in the plane

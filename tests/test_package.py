@@ -57,7 +57,7 @@ ROOMS = (
     {"engine"},
     {
         *("simulator", "state_view", "trajectory", "trajectory_formats", "trajectory_views"),
-        *("observation_fit", "first_starts"),
+        *("observation_fit", "first_initial_conditions"),
     },
     {"safety"},
     {"safety.theorems"},

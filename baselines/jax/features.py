@@ -47,7 +47,7 @@ class FeatureMemory(NamedTuple):
     walls: Walls
 
 
-class Motion(NamedTuple):
+class RecentMotion(NamedTuple):
     """Motion of a robot before a decision."""
 
     headings: Array  # (..., n, 2), carried; zero where undefined
@@ -69,7 +69,7 @@ def no_memory(robots: tuple[int, ...], slots: int) -> FeatureMemory:
 
 def features(
     seen: Rows,
-    motion: Motion,
+    motion: RecentMotion,
     memory: FeatureMemory,
     elapsed: float,
     robot: Robot,

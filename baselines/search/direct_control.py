@@ -82,10 +82,10 @@ class DirectCommands(SafetyFilter):
         return [partial(command, part, observations, *given, actions)]
 
 
-class DirectTeams:
+class DirectController:
     """Speeds and turn rates from a network, for B environments.
 
-    The interface is that of ``GuidedTeams``: show → (a network chooses) → choose → apply.
+    The interface is that of ``BaseController``: show → (a network chooses) → choose → apply.
 
     Args:
         commands: choices, (choices, 2): speed and turn rate in units of their limits.
@@ -129,7 +129,7 @@ class DirectTeams:
         which: Mask | None = None,
         elapsed: Array | None = None,
     ) -> Float32:
-        """Features (B, n, size) of environments of a mask (B,), None for all; see GuidedTeams."""
+        """Features (B, n, size) of environments of a mask (B,); see ``BaseController.show``."""
         observations, memory = check_observations(observations, self._seen), self.perception
         teams = np.arange(len(observations))
         if which is not None:
@@ -160,7 +160,7 @@ class DirectTeams:
         self.steering.held[...] = np.clip(given, -1.0, 1.0) * self._limits
 
     def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:
-        """Actions (B, n, 2), as ``GuidedTeams.apply``."""
+        """Actions (B, n, 2), as ``BaseController.apply``."""
         return self.steering.apply(observations, elapsed=elapsed)
 
     def apply_calls(

@@ -14,7 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from ..deprecation import renamed_attribute
+from ..deprecation import renamed_attribute, warn_renamed
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..envs.agents import names_of
 from ..scenario.start_options import seeds_of_environments
@@ -25,13 +25,13 @@ from .reward_shaping import RewardShaping
 if TYPE_CHECKING:
     from ..scenario.scenarios import ScenarioLike
 
-__all__ = ["GROUP", "RendezvousEnv"]
+__all__ = ["GROUP", "RendezvousTorchRLEnv"]
 
 GROUP = "robots"
 """Agent group of all robots."""
 
 
-class RendezvousEnv(EnvBase):
+class RendezvousTorchRLEnv(EnvBase):
     """B environments of ``vector.training_env`` as a TorchRL environment, batch size (B,).
 
     | key | shape | |
@@ -207,3 +207,11 @@ def _action_spec(space: Space[Any], batch: torch.Size) -> Bounded | Categorical:
     assert isinstance(space, Box)
     low, high = (torch.from_numpy(bound.copy()) for bound in (space.low, space.high))
     return Bounded(low.expand(*batch, *low.shape), high.expand(*batch, *high.shape))
+
+
+def __getattr__(name: str) -> Any:
+    """Former names."""
+    if name == "RendezvousEnv":
+        warn_renamed(f"{__name__}.{name}", "RendezvousTorchRLEnv")
+        return RendezvousTorchRLEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -34,12 +34,12 @@ from .arrays.some_envs import for_envs
 from .coverage import check_covered, raise_not_covered
 from .filters.heading import Heading
 from .filters.tank import Tank
-from .imperfections import Sensor, delayed
-from .merging import Merging, Moving
+from .imperfections import SensorModel, delayed
+from .initial_conditions import InitialConditionSampler
+from .merging import MergeArrays, Merging
 from .obstacles.contact import ObstacleContact
 from .obstacles.fields import Fields
 from .sensing import clearances, lyapunov, sense, sense_obstacles
-from .starts import Starts
 
 Info = dict[str, Array]
 
@@ -131,9 +131,9 @@ class RendezvousJaxEnv:
         self._motion = {name: array_form(getattr(motion, name)) for name in _EQUATIONS}
         has_obstacles = scenario.observation_layout.obstacle_slots > 0
         self._fields = Fields(scenario, self._dtype) if has_obstacles else None
-        self._starts = Starts(scenario, self._fields, self._dtype)
+        self._starts = InitialConditionSampler(scenario, self._fields, self._dtype)
         exact = imperfections_of(scenario.sensing) is None
-        self._sensor = None if exact else Sensor(scenario)
+        self._sensor = None if exact else SensorModel(scenario)
         radius, reach = scenario.merge_radius, self._model.speed_limit * scenario.tau
         self._reach = ((radius + 2.0 * reach) * _ROUNDING) ** 2
         one_way = scenario.sensing_graph.directed
@@ -387,7 +387,7 @@ class RendezvousJaxEnv:
             way = tuple(ways[:, k] for k in range(ways.shape[1]))
             length = jnp.where(contact, norm_of(way), length)
             met = jnp.where(contact, self._contact.outcome, FREE)
-        moving = Moving(
+        moving = MergeArrays(
             state.positions, ways, length, state.weights, state.merged_into, state.obstacles
         )
         near = (state.status == RUNNING) & (state.closest < self._reach)

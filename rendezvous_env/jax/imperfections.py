@@ -56,7 +56,7 @@ class Keys(NamedTuple):
     step: Word
 
 
-class Sensor:
+class SensorModel:
     """Imperfections of the sensors of a scenario."""
 
     def __init__(self, scenario: Scenario) -> None:

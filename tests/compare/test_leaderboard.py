@@ -16,12 +16,11 @@ from rendezvous_env import scenarios
 from train import cli
 from train.checks import UserError
 from train.compare import Job, play_job, statistics
-from train.leaderboard import cards as cards_of
-from train.leaderboard import command, registry, tables
+from train.leaderboard import command, registry, run_records, tables
 from train.leaderboard.algorithms.ppo import multiplier_of
 from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
 from train.leaderboard.environments import make_training_envs
-from train.leaderboard.playing import Player, play
+from train.leaderboard.playing import EvaluationSetup, play
 from train.learn.settings import EVALUATION_SEEDS
 
 SMALL = command.Config(
@@ -103,7 +102,7 @@ def test_filters_differ_in_contacts_and_rises():
     for safety in ("none", "rule", "heading"):
         teams = make_training_envs(field, 6, safety=safety, anew=False)
         aside = teams.single_action_space.nvec[0] - 1  # the choice farthest aside of f
-        found = play(Player(teams, lambda seen, time, n=aside: np.full(seen.shape[:2], n)))
+        found = play(EvaluationSetup(teams, lambda seen, time, n=aside: np.full(seen.shape[:2], n)))
         risen[safety], touches[safety] = sum(found["risen"]), sum(found["touches"])
         assert sum(found["steps"]) > 1000 and len(found["clean"]) == 6
     assert risen["heading"] == 0 and risen["rule"] > 1000
@@ -131,7 +130,7 @@ def board(tmp_path_factory):
 
 
 def test_leaderboard_writes_record_per_run_and_tables(board):
-    cards = cards_of.read_cards(board)
+    cards = run_records.read_records(board)
     assert [(card["algorithm"], card["seed"], card["decisions"]) for card in cards] == [
         ("bearing-only", 0, 0), ("ppo-heading", 0, 64), ("ppo-heading", 1, 64),
     ]  # fmt: skip
@@ -155,7 +154,7 @@ def test_law_is_evaluated_as_in_compare(board):
     """Another loop gives the same times for the same initial conditions and policy."""
     job = Job(scenarios.get("clutter-8"), "bearing-only")
     played = play_job(job, episodes=8, seed=EVALUATION_SEEDS).episodes
-    law = cards_of.read_cards(board)[0]["results"]
+    law = run_records.read_records(board)[0]["results"]
     assert law["success"] == played.success.astype(int).tolist()
     assert law["clean"] == played.collision_free.astype(int).tolist()
     np.testing.assert_allclose(law["time"], played.time, atol=1e-6)
@@ -196,7 +195,7 @@ def test_record_with_former_entry_is_read(tmp_path):
     text, path = source.read_text(), tmp_path / source.name
     path.write_text(text.replace('"episodes": ', '"starts": '))
     assert path.read_text() != text
-    assert cards_of.read_card(path) == cards_of.read_card(source) == json.loads(text)
+    assert run_records.read_record(path) == run_records.read_record(source) == json.loads(text)
 
 
 def test_folder_with_former_algorithm_names_is_read_but_not_extended(tmp_path):
@@ -204,7 +203,7 @@ def test_folder_with_former_algorithm_names_is_read_but_not_extended(tmp_path):
     folder.mkdir(parents=True)
     source = ROOT / "results/leaderboard/smoke/cells/tank-merged/clutter-8-v1-seed-0.json"
     (folder / source.name).write_text(source.read_text().replace("tank-merged", "tank-joined"))
-    [card] = cards_of.read_cards(tmp_path / "out")
+    [card] = run_records.read_records(tmp_path / "out")
     assert card["algorithm"] == "tank-joined"
     assert registry.find("tank-joined") is registry.find("tank-merged")
     asked = replace(SMALL, out=tmp_path / "out", algorithms=("tank-merged",), episodes=50)
@@ -259,11 +258,13 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
 @pytest.mark.slow
 def test_runs_without_replay_are_repeated_with_record(board, tmp_path):
     shutil.copytree(board, out := tmp_path / "out")
-    cards = [card["results"] for card in cards_of.read_cards(out)]
+    cards = [card["results"] for card in run_records.read_records(out)]
     before = (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes()
     assert command.run(replace(SMALL, out=out, record=True)) == 0
-    assert [cards_of.has_replay(out, card) for card in cards_of.read_cards(out)] == [True] * 3
-    assert [card["results"] for card in cards_of.read_cards(out)] == cards
+    assert [run_records.has_replay(out, card) for card in run_records.read_records(out)] == [
+        True
+    ] * 3
+    assert [card["results"] for card in run_records.read_records(out)] == cards
     assert (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes() == before
 
 
@@ -323,7 +324,7 @@ def test_every_algorithm_has_description():
 @pytest.mark.parametrize("tier", ["smoke", "mini"])
 def test_shipped_records_reproduce_tables(tier, monkeypatch):
     out = ROOT / "results" / "leaderboard" / tier
-    cards = cards_of.read_cards(out)
+    cards = run_records.read_records(out)
     monkeypatch.setattr(registry.Algorithm, "missing", [])
     asked = command.plan(command.Config(tier=tier))
     done = {(c["algorithm"], c["field"].partition("/")[2], c["seed"]) for c in cards}

@@ -13,10 +13,9 @@ from report_data import arrays_of
 from rendezvous_env import Simulator, scenarios
 from rendezvous_env.obstacles.shape import RADIUS
 from train.checks import UserError
-from train.leaderboard import cards as cards_of
-from train.leaderboard import command, replays
+from train.leaderboard import command, replays, run_records
 from train.leaderboard.environments import make_training_envs
-from train.leaderboard.playing import Player, play
+from train.leaderboard.playing import EvaluationSetup, play
 from train.learn.settings import EVALUATION_SEEDS
 from train.recording import MAX_FRAMES
 
@@ -48,11 +47,11 @@ def board(tmp_path_factory):
 
 
 def kept_of(board, card):
-    return replays.read_replay(replays.path_of(cards_of.path_in(board, card)), card["results"])
+    return replays.read_replay(replays.path_of(run_records.path_in(board, card)), card["results"])
 
 
 def test_replay_matches_record_and_initial_condition(board):
-    found = cards_of.read_cards(board)
+    found = run_records.read_records(board)
     assert [(card["algorithm"], card["field"]) for card in found] == [
         ("bearing-only", "rendezvous/clutter-8-v1"), ("tank-merged", "rendezvous/clutter-8-v1"),
         ("tank-merged", "rendezvous/unicycle-clutter-16-v1"),
@@ -75,7 +74,7 @@ def test_replay_matches_record_and_initial_condition(board):
 def led(field, count, safety, choose):
     """Policy whose choices depend on the action space only."""
     teams = make_training_envs(scenarios.get(field), count, safety=safety, anew=False)
-    return Player(teams, lambda seen, time: choose(seen.shape[:2]))
+    return EvaluationSetup(teams, lambda seen, time: choose(seen.shape[:2]))
 
 
 def test_recording_does_not_change_episode():
@@ -112,12 +111,12 @@ def test_replay_is_reproduced_from_record(board, tmp_path, capsys):
     before = path.read_bytes()
     path.unlink()
     assert command.run(replace(RULES, repeat=card)) == 0 and not path.exists()
-    assert kept_of(board, cards_of.read_card(card)) == {}
+    assert kept_of(board, run_records.read_record(card)) == {}
     assert command.run(replace(RULES, repeat=card, record=True)) == 0
     assert path.read_bytes() == before and str(path) in capsys.readouterr().out
-    changed = cards_of.read_card(card)
+    changed = run_records.read_record(card)
     changed["results"]["time"][3] += 0.05
-    cards_of.write_run(tmp_path, changed, None)
+    run_records.write_run(tmp_path, changed, None)
     assert command.run(replace(RULES, repeat=tmp_path / "cells" / name, record=True)) == 1
     assert "results differ" in capsys.readouterr().err and not (tmp_path / "replays").exists()
     elsewhere = (tmp_path / "cells" / name).rename(tmp_path / "card.json")
@@ -126,8 +125,8 @@ def test_replay_is_reproduced_from_record(board, tmp_path, capsys):
 
 
 def test_foreign_replay_is_rejected(board, tmp_path):
-    card = cards_of.read_cards(board)[0]
-    good = json.loads(replays.path_of(cards_of.path_in(board, card)).read_text())
+    card = run_records.read_records(board)[0]
+    good = json.loads(replays.path_of(run_records.path_in(board, card)).read_text())
     path = tmp_path / "replay.json"
 
     def refused(said, found=card["results"], sealed=False, **changes):
@@ -152,7 +151,7 @@ def test_foreign_replay_is_rejected(board, tmp_path):
 @pytest.mark.parametrize("tier", ["smoke", "mini"])
 def test_every_shipped_record_has_replay(tier):
     out = ROOT / "results" / "leaderboard" / tier
-    first = [card for card in cards_of.read_cards(out) if card["seed"] == 0]
+    first = [card for card in run_records.read_records(out) if card["seed"] == 0]
     assert len(first) == {"smoke": 36, "mini": 118}[tier]
     for card in first:
         check_agreement(card, kept_of(out, card))

@@ -92,7 +92,7 @@ def test_preset_has_energy_budget_of_robot_model(field):
     teams.reset(seed=0)
     assert teams.env.settings == shipped
     assert shipped.budget == pytest.approx((1 if field == "clutter-8" else 2) * 100 / 3)
-    np.testing.assert_allclose(teams.env.guided.tank.normalised_levels, shipped.budget)
+    np.testing.assert_allclose(teams.env.controller.tank.normalised_levels, shipped.budget)
     everyone, own = preset("tank"), preset("tank", rv.scenarios.get(field))
     assert own.reward == everyone.reward and own.contact_penalty == everyone.contact_penalty
 

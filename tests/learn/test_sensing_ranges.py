@@ -119,7 +119,7 @@ class TestGroups:
         seen, _ = teams.reset(seed=list(range(8)))
         assert not seen.any()
         teams.step(np.full((8, 4), 3))
-        assert not any(group.guided.choices.any() for group in teams.groups)
+        assert not any(group.controller.choices.any() for group in teams.groups)
 
 
 @pytest.mark.slow

@@ -307,19 +307,19 @@ class TestTime:
         for dt in (0.02, 0.05):
             robot, shown = RobotPolicy(CLUTTER), []
             robot.act(along(0), [along(40, 60)], dt=dt)
-            guided, time = robot.policy._guided, 0.0
-            show = guided.show
+            controller, time = robot.policy._controller, 0.0
+            show = controller.show
 
             def watched(*seen, show=show, shown=shown):
                 shown.append(show(*seen))
                 return shown[-1]
 
-            guided.show = watched
+            controller.show = watched
             while not shown:
                 time += dt
                 turn = np.degrees(time)
                 robot.act(along(0), [along(40 + turn, 60 + turn)], dt=dt)
-            obstacles = guided.perception.layout.split(shown[0][0, 0]).obstacles
+            obstacles = controller.perception.layout.split(shown[0][0, 0]).obstacles
             rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
         np.testing.assert_allclose(rates, 1.0, atol=1e-4)
 
@@ -336,7 +336,7 @@ class TestTime:
         rows = np.zeros((1, CLUTTER.n_robots, *CLUTTER.observation_layout.shape), np.float32)
         rows[0, 0, :2] = along(0, 30)
         tank(rows, 0.0)
-        steering = tank._guided.steering
+        steering = tank._controller.steering
         full, begun = tank.levels[0, 0], steering.budget
         steering.settle(0.25)
         assert full != begun

@@ -44,9 +44,11 @@ def _torchrl(scenario: rv.Scenario, size: Size, choices: dict[str, Any]) -> Runn
     """A TorchRL step as in ``rollout`` and collectors, without policy and storage."""
     import torch
 
-    from rendezvous_env.adapters.torchrl import GROUP, RendezvousEnv
+    from rendezvous_env.adapters.torchrl import GROUP, RendezvousTorchRLEnv
 
-    env = RendezvousEnv(scenario, size.num_envs, num_threads=size.num_threads, seed=0, **choices)
+    env = RendezvousTorchRLEnv(
+        scenario, size.num_envs, num_threads=size.num_threads, seed=0, **choices
+    )
     tape, now = tape_of(env.vector_env.single_action_space, size.num_envs), [env.reset()]
 
     def step() -> None:

@@ -23,7 +23,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
 from ..checks import user_error
-from ..recording import Recorder, Recording, is_recomputable, state_of
+from ..recording import EpisodeRecorder, Recording, is_recomputable, state_of
 
 CHUNK = 1024
 """Maximum batch size; further initial conditions are simulated in later chunks."""
@@ -122,7 +122,7 @@ def play(
             observations = simulator.reset(seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
         exact = is_recomputable(scenario)
-        recorders = [Recorder(simulator, team, observations, exact) for team in kept]
+        recorders = [EpisodeRecorder(simulator, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in islice(run(simulator, make_policy(), observations), steps):
             aligned, after = meter.see(step), state_of(simulator)

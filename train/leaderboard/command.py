@@ -25,8 +25,18 @@ from ..policies import resolve_scenario
 from ..resume import RunCheckpoint, program
 from ..tasks import Workers
 from . import registry, tables
-from .cards import Card, Run, RunKey, has_replay, place_of, read_card, read_cards, run_of, write_run
 from .replays import path_of, write_replay
+from .run_records import (
+    Run,
+    RunKey,
+    RunRecord,
+    has_replay,
+    place_of,
+    read_record,
+    read_records,
+    run_of,
+    write_run,
+)
 
 Tier = Literal["smoke", "mini", "full"]
 
@@ -165,9 +175,9 @@ def run(config: Config) -> int:
     return 0
 
 
-def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, Card]:
+def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, RunRecord]:
     """Runs stored in a folder; a UserError if their budget or number of episodes differs."""
-    kept = {place_of(card): card for card in read_cards(out)}
+    kept = {place_of(card): card for card in read_records(out)}
     _check_names(out, kept, places)
     for what in ("decisions", "episodes"):
         amounts = {getattr(place, what) for place in (*kept, *places)} - {0}
@@ -208,7 +218,7 @@ def _repeat(path: Path, record: bool, console: Console) -> int:
 
     If it differs, report whether collision-free success lies within the interval of a repetition.
     """
-    card = read_card(path)
+    card = read_record(path)
     place = place_of(card)
     kept = path_of(path) if record else None
     again, replay = run_of(place, record)
@@ -226,7 +236,7 @@ def _repeat(path: Path, record: bool, console: Console) -> int:
     where = "within" if low <= 0.0 <= high else "outside"
     print(
         f"error: {place.name}: {', '.join(differ)} differ{told}; collision-free success is "
-        f"{own.mean():.3f}, on the card {was.mean():.3f}, {where} the 95 % interval of the "
+        f"{own.mean():.3f}, in the record {was.mean():.3f}, {where} the 95 % interval of the "
         "difference",
         file=sys.stderr,
     )

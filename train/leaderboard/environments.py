@@ -60,15 +60,13 @@ class WithoutBaseController(FeatureVectorEnv):
     def _act(self) -> NDArray[np.float32]:
         seen, base = self._observed.copy(), self._base
         seen[..., base.scenario.observation_layout.obstacles, :] = 0.0
-        return self.guided.apply(seen)
+        return self.controller.apply(seen)
 
 
 def without_base_controller(env: TrainingVectorEnv) -> TrainingVectorEnv:
     """The same environments without the base controller."""
-    guided: Any = env.env
-    return TrainingVectorEnv(
-        WithoutBaseController(guided.env, guided.settings), env.contact_penalty
-    )
+    inner: Any = env.env
+    return TrainingVectorEnv(WithoutBaseController(inner.env, inner.settings), env.contact_penalty)
 
 
 def make_training_envs(

@@ -14,7 +14,7 @@ from .environments import COSTS
 
 
 @dataclass(frozen=True)
-class Player:
+class EvaluationSetup:
     """Environments that stop when their episode ends, with the policy that controls them."""
 
     env: Any
@@ -24,7 +24,7 @@ class Player:
 
 
 def play(
-    player: Player, watch: Callable[[Simulator], None] = lambda simulator: None
+    player: EvaluationSetup, watch: Callable[[Simulator], None] = lambda simulator: None
 ) -> dict[str, list[Any]]:
     """Run one episode per environment from the held-out seeds 2⁶¹, 2⁶¹ + 1, ….
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..checks import UserError, current_policy, unknown_name
-from .playing import Player
+from .playing import EvaluationSetup
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,9 @@ class Algorithm:
     safety: str  # safety mechanism, in a word or two
     guarantee: Literal["none", "heading", "tank"]  # guarantee: none, theorem C or theorem D
     given: str  # inputs: "bearings", or others
-    learn: Callable[[Scenario, int, Budget], tuple[Callable[[int], Player], dict[str, Any]]]
+    learn: Callable[
+        [Scenario, int, Budget], tuple[Callable[[int], EvaluationSetup], dict[str, Any]]
+    ]
     """(scenario, seed, budget) → (factory of a player for a number of environments, settings as
     plain data). An algorithm without training returns immediately."""
     fits: Callable[[Scenario], bool]  # whether it supports a scenario

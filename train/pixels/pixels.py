@@ -21,7 +21,7 @@ from rendezvous_env.simulator import Simulator
 
 from ..compare import evaluation
 from ..compare.statistics import fraction_interval
-from .detector import Detector, Found
+from .detector import Detections, Detector
 from .eyes import HEIGHT, LAMPS, Eyes
 from .last_seen import make, unit
 
@@ -39,7 +39,7 @@ SCENARIO = Scenario(
 """``clutter-8`` at half its size, with lamps of diameter 0.4 m as robots."""
 POLICIES = ("bearing-only", "tangent-merged-tuned", "learned", "learned-tank")
 
-Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Found | None]], None]
+Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Detections | None]], None]
 """Callback before every step: simulator, cameras, images, detections."""
 
 

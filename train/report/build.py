@@ -21,7 +21,7 @@ from ..console import Console
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import write_text
-from . import board
+from . import leaderboard
 from .input import Comparison, half_written, read
 from .skeleton import PLAYER, Replay, assemble, elements, figures, part, player_data, terms
 
@@ -60,10 +60,10 @@ def run(config: Config) -> int:
 
 def _page_of(folder: Path) -> tuple[str, str]:
     """Page of a comparison or a leaderboard, and a note for the terminal."""
-    command = "leaderboard" if board.is_one(folder) else "compare"
+    command = "leaderboard" if leaderboard.is_one(folder) else "compare"
     try:
         if command == "leaderboard":
-            return board.page(folder), ""
+            return leaderboard.page(folder), ""
         found = read(folder)
         return page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
     except UserError:

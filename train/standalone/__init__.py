@@ -73,7 +73,7 @@ class {word}:
     """This file is for robots of {where}."""
 '''
     }
-    for dim, word, where in ((2, "SteadyPlanes", "the plane"), (3, "OdometryFrame", "space"))
+    for dim, word, where in ((2, "OdometryPlane", "the plane"), (3, "OdometryFrame", "space"))
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
@@ -103,8 +103,8 @@ class {word}:
 '''
     }
     for is_filtered, module, word, what in (
-        (True, "search.direct_control", "DirectTeams", "under"),
-        (False, "learned.guide", "GuidedTeams", "without"),
+        (True, "search.direct_control", "DirectController", "under"),
+        (False, "learned.base_controller", "BaseController", "without"),
     )
 }
 _ROOTS = (

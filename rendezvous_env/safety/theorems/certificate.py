@@ -19,7 +19,7 @@ from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_share
 from . import delay, descent, gains, links, mean_time, noise, policies, tank, turning
-from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem, at_least, at_most
+from .theorem import CHOICES, LAW, PROMISED, Asked, Theorem, TheoremBounds, at_least, at_most
 
 THEOREMS: tuple[Theorem, ...] = tuple(
     theorem
@@ -260,7 +260,9 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     return asked
 
 
-def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Theorem, Bounds]]]:
+def answer(
+    scenario: Scenario, asked: Asked
+) -> tuple[Certificate, list[tuple[Theorem, TheoremBounds]]]:
     """Return the best of all bounds, the theorem text, and all theorems that apply.
 
     The text is that of the first theorem that guarantees rendezvous, or the missing assumption of
@@ -283,7 +285,7 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
 
 
 def _certificate(
-    scenario: Scenario, asked: Asked, lacks: str, found: list[Bounds], policy: str = ""
+    scenario: Scenario, asked: Asked, lacks: str, found: list[TheoremBounds], policy: str = ""
 ) -> Certificate:
     """Certificate with the best applicable bounds, or with the missing assumption."""
     promised = [bounds.words for bounds in found if bounds.meets]

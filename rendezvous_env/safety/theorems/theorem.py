@@ -20,7 +20,7 @@ CHOICES = {
 ROUNDED = 2.0**-22
 """Bound on the rotation of a bearing by float32 rounding, rad."""
 PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
-"""Fields of Bounds that hold in discrete time."""
+"""Fields of TheoremBounds that hold in discrete time."""
 
 
 def at_most(bound: float) -> str:
@@ -56,7 +56,7 @@ LAW = Asked()
 
 
 @dataclass(frozen=True)
-class Bounds:
+class TheoremBounds:
     """Bounds of a theorem for a scenario; infinite where there is none."""
 
     words: str = ""  # the guarantee, theorem first; or the reason why there is none for this error
@@ -72,7 +72,7 @@ class Bounds:
 
 def bounds_with_errors(
     asked: Asked, time: Any, tolerated: float, words: str, who: str, even_so: str = "", **rest: Any
-) -> Bounds:
+) -> TheoremBounds:
     """Numbers with bearing errors: a rendezvous guarantee if the time, s, is finite.
 
     Otherwise a message that the time overflows, or that η exceeds the ``tolerated`` error, rad, of
@@ -93,7 +93,7 @@ def bounds_with_errors(
             f"than {at_least(tolerated)} rad here (guarantees 11){even_so}"
         )
     time = float(time) if meets else math.inf
-    return Bounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
+    return TheoremBounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
 
 
 Assumption = Callable[[Scenario, Asked], str]
@@ -109,7 +109,7 @@ class Theorem:
     name: str  # name in docs/guarantees.md
     by: tuple[str, ...]  # mechanisms of the guarantee, from CHOICES
     assumptions: tuple[Assumption, ...]  # all must hold
-    bounds: Callable[[Scenario, Asked], Bounds]  # bounds for a scenario that meets all assumptions
+    bounds: Callable[[Scenario, Asked], TheoremBounds]  # for a scenario that meets all
     rendezvous: bool = True  # whether it can guarantee rendezvous, and not only bounds
     every_step: str = ""
     """Property of every step without merge or contact, or empty: V does not increase ("descent"),

@@ -10,7 +10,7 @@ pytest.importorskip("benchmarl.experiment")
 
 from rendezvous_env import scenarios
 from rendezvous_env.adapters.torchrl import GROUP
-from train.leaderboard import cards, command, registry
+from train.leaderboard import command, registry, run_records
 from train.leaderboard.algorithms import multi_agent
 from train.leaderboard.environments import make_training_envs
 
@@ -53,7 +53,7 @@ def test_learners_train_in_common_environments(safety):
 def board(tmp_path_factory):
     out = tmp_path_factory.mktemp("board") / "out"
     assert command.run(replace(SMALL, out=out)) == 0
-    return {card["algorithm"]: (out, card) for card in cards.read_cards(out)}
+    return {card["algorithm"]: (out, card) for card in run_records.read_records(out)}
 
 
 @pytest.mark.parametrize("name", ["ippo-none", "mappo-heading", "masac-none", "qmix-heading"])
@@ -72,7 +72,7 @@ def test_seed_and_filter_change_result(board):
         bare, headed = (board[f"{learner}-{safety}"][1] for safety in ("none", "heading"))
         assert bare["results"] != headed["results"] and not sum(headed["results"]["risen"])
     place = command.plan(replace(SMALL, algorithms=("ippo-none",), seeds=(1,)))[0]
-    assert cards.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
+    assert run_records.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
 
 
 def test_all_algorithms_are_registered():

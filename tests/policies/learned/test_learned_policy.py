@@ -107,8 +107,8 @@ class TestActions:
             tolerance = 0.0 if changes else 1e-5  # a heading's speed is limited afterwards
             np.testing.assert_allclose(teams._observed, observations, rtol=0.0, atol=tolerance)
         if changes:
-            np.testing.assert_array_equal(teams.guided.steering.levels, policy.levels)
-            assert (teams.guided.steering.levels != 1.2).any()
+            np.testing.assert_array_equal(teams.controller.steering.levels, policy.levels)
+            assert (teams.controller.steering.levels != 1.2).any()
 
     def test_environments_decide_at_their_own_times(self):
         together = learned(decision_time=0.2)

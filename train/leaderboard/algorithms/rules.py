@@ -11,14 +11,14 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ... import policies
 from ..environments import COSTS
-from ..playing import Player
+from ..playing import EvaluationSetup
 from ..registry import Algorithm, Budget
 
 
-def _player(name: str, field: Scenario, num_envs: int) -> Player:
+def _player(name: str, field: Scenario, num_envs: int) -> EvaluationSetup:
     scenario = field.replace(costs=COSTS)
     env = rv.make_vec(scenario, num_envs, AutoresetMode.DISABLED, num_threads=1)
-    return Player(env, baselines.make(name, scenario))
+    return EvaluationSetup(env, baselines.make(name, scenario))
 
 
 def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:

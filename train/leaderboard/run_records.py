@@ -18,8 +18,8 @@ from . import registry
 from .playing import play
 from .replays import Replay, path_of, replay_of, write_replay
 
-Card = dict[str, Any]
-Run = tuple[Card, Replay | None]
+RunRecord = dict[str, Any]
+Run = tuple[RunRecord, Replay | None]
 _TYPES = {
     **dict.fromkeys(("algorithm", "safety", "given", "field", "digest"), str),
     **dict.fromkeys(("seed", "decisions", "episodes"), int),
@@ -89,8 +89,8 @@ def run_of(place: RunKey, record: bool) -> Run:
     return card, replay_of(found, player(place.episodes)) if record else None
 
 
-def write_run(folder: Path, card: Card, replay: Replay | None) -> None:
-    """Write a run record for ``read_cards``, one line per entry, and its replay."""
+def write_run(folder: Path, card: RunRecord, replay: Replay | None) -> None:
+    """Write a run record for ``read_records``, one line per entry, and its replay."""
     path = path_in(folder, card)
     if replay is not None:
         write_replay(path_of(path), replay)
@@ -99,30 +99,30 @@ def write_run(folder: Path, card: Card, replay: Replay | None) -> None:
     results.write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
-def path_in(folder: Path, card: Card) -> Path:
+def path_in(folder: Path, card: RunRecord) -> Path:
     """Path of a run record in a leaderboard folder."""
     return folder / "cells" / f"{place_of(card).name}.json"
 
 
-def has_replay(folder: Path, card: Card) -> bool:
+def has_replay(folder: Path, card: RunRecord) -> bool:
     """True if a leaderboard folder holds a replay of a run."""
     return path_of(path_in(folder, card)).exists()
 
 
-def read_cards(out: Path) -> list[Card]:
+def read_records(out: Path) -> list[RunRecord]:
     """Run records of a folder, sorted by algorithm, scenario and seed.
 
     Raises:
-        UserError: as ``read_card``, and for a file with the name of another run.
+        UserError: as ``read_record``, and for a file with the name of another run.
     """
-    found = {path: read_card(path) for path in (out / "cells").glob("*/*.json")}
+    found = {path: read_record(path) for path in (out / "cells").glob("*/*.json")}
     for path, card in found.items():
         if path != path_in(out, card):
             raise UserError(f"{path}: is the record of {place_of(card).name}; remove it")
     return sorted(found.values(), key=place_of)
 
 
-def read_card(path: Path) -> Card:
+def read_record(path: Path) -> RunRecord:
     """Read a run record of this version's scenarios; a UserError if it is not one."""
     try:
         card = _in_current_words(plain_data.read_json(path))
@@ -145,12 +145,12 @@ def read_card(path: Path) -> Card:
     return card
 
 
-def _in_current_words(card: Card) -> Card:
+def _in_current_words(card: RunRecord) -> RunRecord:
     """Entries of a record, also of one whose entry "episodes" has its former name."""
     return {"episodes" if key == "starts" else key: value for key, value in card.items()}
 
 
-def place_of(card: Card) -> RunKey:
+def place_of(card: RunRecord) -> RunKey:
     """Identity of the run that a record describes."""
     field = card["field"].partition("/")[2]
     return RunKey(card["algorithm"], field, card["seed"], card["decisions"], card["episodes"])

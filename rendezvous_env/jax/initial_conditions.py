@@ -22,7 +22,7 @@ from .arrays.random_streams import Numbers, Word, numbers, stream_keys, uniform
 from .obstacles.fields import Fields
 
 
-class Start(NamedTuple):
+class InitialConditions(NamedTuple):
     """Initial positions, frames, memory and weights of environments."""
 
     positions: Array  # (n, d, *batch), m
@@ -32,7 +32,7 @@ class Start(NamedTuple):
     obstacles: Any  # World; () where there are none, or the same in all episodes
 
 
-class Starts:
+class InitialConditionSampler:
     """Initial conditions of a scenario."""
 
     def __init__(self, scenario: Scenario, fields: Fields | None, dtype: Any) -> None:
@@ -41,7 +41,7 @@ class Starts:
         self._base: NDArray[np.float64] = scenario.sensing_graph.base_weights(n)
         self._linked = (self._base > 0.0) | (self._base.T > 0.0)
 
-    def __call__(self, seed: Array, episode: Array) -> Start:
+    def __call__(self, seed: Array, episode: Array) -> InitialConditions:
         """Sample initial conditions of episodes (*batch) of seeds (2, *batch)."""
         words, batch = (seed[0], seed[1]), episode.shape
         purposes = START, FRAMES, GRAPH, OBSTACLES
@@ -52,7 +52,7 @@ class Starts:
             starts = None if given is None else self._given(given, batch)
             obstacles = self._fields.draw(field, batch, starts)
         drawn = self._numbers(frames, batch)
-        return Start(
+        return InitialConditions(
             self._positions(positions, obstacles, batch),
             self._frames(drawn, batch),
             self._memory(drawn, batch),

@@ -22,10 +22,10 @@ from rendezvous_env.scenario.scenario import Scenario
 from ..network_actions import check_choices, raise_not_finite
 from ..obstacle_rules.planes_in_space import PASSABLE
 from ..policy import Float32, Mask
-from ..search.direct_control import DirectTeams
-from ..steady_frames import OdometryFrame, SteadyPlanes
+from ..search.direct_control import DirectController
+from ..steady_frames import OdometryFrame, OdometryPlane
+from .base_controller_kernels import Rule, aim, desired_velocities, room_for_aim, unit_vectors
 from .features import Features
-from .guide_kernels import Rule, aim, desired_velocities, room_for_aim, unit_vectors
 from .policy_settings import PolicySettings
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ class HeadingTankFilter(CommandedTank):
         return [desire, *super().apply_calls(part, observations, actions), note]
 
 
-class GuidedTeams:
+class BaseController:
     """Base controller of B environments: features, choices, and certified actions.
 
         show → (a network chooses) → choose, or head → apply:  raw = rule(R(φ) f)
@@ -115,7 +115,7 @@ class GuidedTeams:
     The robots follow the rule of ``tangent-merged-tuned`` with f rotated by their choices. The raw
     vector becomes a certified heading, or with tanks any heading that the stored energy allows.
     Unicycles turn as their gate or tank allows, with memory in ``OdometryFrame``. In 3-D all of
-    this takes place in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is called
+    this takes place in a plane (``OdometryPlane``). ``show`` updates the memory, so it is called
     once per decision, and ``apply`` in every step. Arguments and errors are those of ``Features``.
     """
 
@@ -145,10 +145,10 @@ class GuidedTeams:
         self._seen = *team, *layout.shape
         self._batch, self._action_size = (*team, num_threads), scenario.action_size
         most = settings.max_turn_rate if certified else math.inf
-        self.bodies: OdometryFrame | SteadyPlanes | None = None
+        self.bodies: OdometryFrame | OdometryPlane | None = None
         if scenario.dim == 3:
             keeps = PASSABLE if certified else math.inf
-            self.bodies = SteadyPlanes(scenario, num_envs, 0.5 * clearance, most, keeps)
+            self.bodies = OdometryPlane(scenario, num_envs, 0.5 * clearance, most, keeps)
         elif scenario.model.nonholonomic:
             # within the clearance of a free direction nothing is ahead of a body
             self.bodies = OdometryFrame(scenario, num_envs, clearance, most)
@@ -269,23 +269,25 @@ class GuidedTeams:
                 memory.forget(which)
 
 
-Guide = GuidedTeams | DirectTeams
+Controller = BaseController | DirectController
 """Base controller that maps a network's choices to actions, with or without a filter."""
 
 
-def make_guide(
+def make_controller(
     settings: PolicySettings,
     scenario: Scenario,
     num_envs: int,
     *,
     obstacle_slots: int | None = None,
     num_threads: int | None = None,
-) -> Guide:
-    """Base controller of a policy with these settings; arguments as of ``GuidedTeams``."""
+) -> Controller:
+    """Base controller of a policy with these settings; arguments as of ``BaseController``."""
     if settings.guarantee != "none":
         slots, threads = obstacle_slots, num_threads
-        return GuidedTeams(settings, scenario, num_envs, obstacle_slots=slots, num_threads=threads)
+        return BaseController(
+            settings, scenario, num_envs, obstacle_slots=slots, num_threads=threads
+        )
     layout = settings.layout_of(scenario)
     if obstacle_slots is not None:
         layout = settings.layout(layout.neighbour_slots, obstacle_slots)
-    return DirectTeams(settings.commands, scenario, num_envs, layout, num_threads)
+    return DirectController(settings.commands, scenario, num_envs, layout, num_threads)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from geometry import along
 
-from baselines.learned.guide_kernels import Rule, aim, room_for_aim, unit_vectors
+from baselines.learned.base_controller_kernels import Rule, aim, room_for_aim, unit_vectors
 from baselines.obstacle_rules.merged_intervals_2d import merged_headings_2d
 from baselines.obstacle_rules.obstacle_edges import list_seen
 from rendezvous_env.compilation import kernel

@@ -13,7 +13,7 @@ from rendezvous_env.scenario import scenarios
 
 from .. import results
 from ..checks import UserError, user_error
-from ..leaderboard import cards, tables
+from ..leaderboard import run_records, tables
 from ..leaderboard.replays import path_of, read_replay
 from ..learn.settings import EVALUATION_SEEDS
 from .skeleton import PLAYER, Replay, assemble, elements, figures, part, player_data, terms
@@ -28,7 +28,7 @@ def is_one(folder: Path) -> bool:
 
 def page(folder: Path) -> str:
     """The page as HTML; a UserError if a run record, replay or table is missing or unreadable."""
-    found, path = cards.read_cards(folder), folder / "leaderboard.csv"
+    found, path = run_records.read_records(folder), folder / "leaderboard.csv"
     with user_error(f"{path}: not readable: ", OSError, ValueError):
         rows = results.read_csv(path)
     whole_rows = all(tuple(row) == tables.COLUMNS and None not in row.values() for row in rows)
@@ -69,15 +69,15 @@ def page(folder: Path) -> str:
     )
 
 
-def _policy(card: cards.Card) -> str:
+def _policy(card: run_records.RunRecord) -> str:
     """Policy name of a replay, with the seed of a learned one."""
     seed = f", seed {card['seed']}" if card["decisions"] else ""
     return f"{card['algorithm']}{seed}"
 
 
-def _replays(folder: Path, card: cards.Card) -> list[Replay]:
+def _replays(folder: Path, card: run_records.RunRecord) -> list[Replay]:
     """Replays of a run, with the recorded result of each episode."""
-    found, kept = card["results"], path_of(cards.path_in(folder, card))
+    found, kept = card["results"], path_of(run_records.path_in(folder, card))
     names = {
         "success": "success", "collision_free": "clean", "time": "time", "contacts": "touches",
     }  # fmt: skip
@@ -90,9 +90,9 @@ def _replays(folder: Path, card: cards.Card) -> list[Replay]:
     ]  # fmt: skip
 
 
-def _cell(card: cards.Card, is_replayed: bool) -> dict[str, str]:
+def _cell(card: run_records.RunRecord, is_replayed: bool) -> dict[str, str]:
     """Row of the table of runs, with numbers as text."""
-    name, found = cards.place_of(card).name, card["results"]
+    name, found = run_records.place_of(card).name, card["results"]
     row: dict[str, Any] = {"collision_free": float(np.mean(found["clean"]))}
     row["time"] = float(np.mean(found["time"]))
     row |= {key: 1000.0 * sum(found[key]) / sum(found["steps"]) for key in ("touches", "risen")}
@@ -102,7 +102,7 @@ def _cell(card: cards.Card, is_replayed: bool) -> dict[str, str]:
     return {key: str(value) for key, value in row.items()}
 
 
-def _about(found: list[cards.Card], replays: int) -> str:
+def _about(found: list[run_records.RunRecord], replays: int) -> str:
     learned = sorted({card["decisions"] for card in found} - {0})
     fields = {card["field"]: f"{card['field']} ({card['digest'][:12]}…)" for card in found}
     versions = sorted({f"{k} {v}" for card in found for k, v in card["versions"].items()})

@@ -13,7 +13,7 @@ from rendezvous_env.baselines.learned import plain_data
 from report_data import data_of
 
 from train.checks import UserError
-from train.leaderboard import cards
+from train.leaderboard import run_records
 from train.leaderboard.replays import path_of, read_replay
 from train.report import build as report
 from train.results import read_csv
@@ -48,7 +48,7 @@ def read(folder):
 def test_page_has_every_row_and_record(board):
     text, data, _ = read(board)
     assert data["board"] == read_csv(board / TABLE)
-    found = cards.read_cards(board)
+    found = run_records.read_records(board)
     assert len(data["cells"]) == len(found)
     for row, card in zip(data["cells"], found, strict=True):
         kept = json.loads((board / row["card"]).read_text(encoding="utf-8"))
@@ -67,8 +67,8 @@ def test_page_carries_replays_with_recorded_results(board):
         for one, blob in zip(data["recordings"], blobs, strict=True)
     }
     starts = 0
-    for card in cards.read_cards(board):
-        path = path_of(cards.path_in(board, card))
+    for card in run_records.read_records(board):
+        path = path_of(run_records.path_in(board, card))
         assert path.is_file() == (card["seed"] == 0 and path != board / BARE)
         policy = card["algorithm"] + (f", seed {card['seed']}" if card["decisions"] else "")
         for start, kept in read_replay(path, card["results"]).items():
@@ -97,8 +97,8 @@ def with_a_replay_of_other_results(folder):
 
 
 def with_a_replay_of_no_start_of_its_card(folder):
-    card = cards.read_cards(folder)[0]
-    path = path_of(cards.path_in(folder, card))
+    card = run_records.read_records(folder)[0]
+    path = path_of(run_records.path_in(folder, card))
     starts = {"999": json.loads(path.read_text())["starts"]["0"]}
     sealed = plain_data.digest({"results": card["results"], "starts": starts})
     path.write_text(json.dumps({"sha256": sealed, "starts": starts}))
@@ -130,7 +130,7 @@ def test_table_sorts_and_filters_by_scenario(page, board):
     shown = [float(value) for value in column(page, "time", "board")]
     assert shown == sorted(shown) and len(shown) == len(read_csv(board / TABLE))
     page.select_option("#table-scenario", "rendezvous/clutter-8-v1")
-    fields = [card["field"] for card in cards.read_cards(board)]
+    fields = [card["field"] for card in run_records.read_records(board)]
     rows = page.locator("#cells-table tbody tr")
     assert rows.count() == fields.count("rendezvous/clutter-8-v1")
     card = board / rows.first.locator("a").first.get_attribute("href")
@@ -146,7 +146,10 @@ def cell(page, algorithm, column):
 @pytest.mark.slow
 @needs_browser
 def test_click_on_cell_opens_replay(page, board):
-    found = {(c["algorithm"], c["field"], c["seed"]): c["results"] for c in cards.read_cards(board)}
+    found = {
+        (c["algorithm"], c["field"], c["seed"]): c["results"]
+        for c in run_records.read_records(board)
+    }
     field = "rendezvous/clutter-16-v1"
     shares = [found["ppo-cbf", field, seed]["clean"] for seed in (0, 1, 2)]
     box = cell(page, "ppo-cbf", 2)
