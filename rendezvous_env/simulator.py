@@ -376,9 +376,7 @@ class Simulator(StateView):
 
     @property
     def clearance(self) -> NDArray[np.float64]:
-        """Current distance of each robot to the nearest obstacle, (B, n), m; inf without
-        obstacles.
-        """
+        """Current distance of each robot to the nearest obstacle, (B, n), m; or inf."""
         return read_only(self._runner.observe().clearance)
 
     @property

@@ -140,9 +140,7 @@ class Trajectory:
 
     @property
     def largest_rise_between_merges(self) -> NDArray[np.float64]:
-        """Largest increase of V in a step before any merge, (B,), m²/s; negative if V always
-        fell.
-        """
+        """Largest increase of V in a step before any merge, (B,), m²/s; may be negative."""
         rises = self.lyapunov_before_merge - self.lyapunov[:-1]
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 

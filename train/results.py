@@ -213,8 +213,9 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def versioned(scenario: Scenario) -> dict[str, str]:
-    """Versioned name ("field") and digest of the first initial conditions ("digest") of a named
-    scenario; empty for any other scenario.
+    """Versioned name ("field") and digest ("digest") of a named scenario, else empty.
+
+    The digest is that of the first initial conditions.
     """
     name = scenario.name
     if name not in scenarios.with_versions() or scenario != scenarios.get(name):

@@ -182,9 +182,7 @@ class BatchState:
         return obstacle_set.table_of(self.obstacles)
 
     def with_index(self, world: ObstacleSet | None) -> dict[str, NDArray[Any]]:
-        """Arrays of obstacles with a leading axis, and their index, for ``give``; empty for "
-        "None.
-        """
+        """Arrays of obstacles with a leading axis and their index, for ``give``; {} for None."""
         if world is None:
             return {}
         index = {} if self.index is None else spatial_index.index_of(world)._asdict()

@@ -109,9 +109,7 @@ class BaseParallelEnv(
 
     @property
     def np_random(self) -> np.random.Generator:
-        """Random generator for wrappers, as in Gymnasium: seeded with the environment's seed, which
-        itself does not use it.
-        """
+        """Random generator for wrappers, seeded with the environment's seed, as in Gymnasium."""
         if self._np_random is None:
             self._np_random = np.random.default_rng()
         return self._np_random

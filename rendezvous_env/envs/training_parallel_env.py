@@ -63,9 +63,7 @@ class TrainingParallelEnv(
     metadata = BaseParallelEnv.metadata | {"name": "rendezvous_training_v0"}
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Step with actions of all agents, merged ones included; errors as
-        ``RendezvousParallelEnv.step``.
-        """
+        """Step with actions of all agents; errors as ``RendezvousParallelEnv.step``."""
         if self._is_over(actions):
             return {}, {}, {}, {}, {}
         names = self.agents

@@ -269,8 +269,7 @@ class RendezvousVectorEnv(
         self.simulator.set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One image per environment, see the class; in "human" mode a window shows them side by
-        side.
+        """One image per environment, see the class; in "human" mode they are shown.
 
         Errors as ``Renderer.render``.
         """

@@ -197,8 +197,9 @@ class Graph:
         return [list(group) for group in _groups(self, n, matrices.closed_groups)]
 
     def connectivity_error(self, n: int) -> str | None:
-        """Reason why rendezvous is impossible on this graph (theorem 1), or not guaranteed if it is
-        directed or time-varying (guarantees, section 10); None if there is none.
+        """Reason why rendezvous is impossible (theorem 1) or not guaranteed; None without one.
+
+        It is not guaranteed on some directed or time-varying graphs (guarantees, section 10).
         """
         pieces = self.components(n) if self.undirected else self.closed_groups(n)
         listed = " and ".join(map(str, pieces))

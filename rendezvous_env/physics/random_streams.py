@@ -37,8 +37,9 @@ def mix(word):
 
 @kernel
 def stream_key(seed, episode, purpose):
-    """Key of the stream for one purpose (START … EVENTS) in one episode of a seed, uint64,
-    without unit: mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)), γ the increment of
+    """Key of the stream for one purpose (START … EVENTS) in one episode of a seed, uint64.
+
+    mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)), without unit; γ is the increment of
     SplitMix64.
     """
     key = mix(np.uint64(seed) + _INCREMENT)

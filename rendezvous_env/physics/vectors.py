@@ -148,8 +148,9 @@ def split_across(a, h):
 
 @inner_kernel(inline="code")
 def perpendicular(h):
-    """A vector p ⊥ h of a unit pair or triple h, without unit: counter-clockwise in the xy plane,
-    along x if h is vertical.
+    """Perpendicular p ⊥ h of a unit pair or triple h, without unit.
+
+    It is counter-clockwise in the xy plane, or along x if h is vertical.
     """
     if len(h) == 2:
         return -h[1], h[0]

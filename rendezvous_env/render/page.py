@@ -88,9 +88,7 @@ class Page:
         return TeamPicture(self._simulator.scenario, history, area, unit, camera)
 
     def _draw_header(self, history: History, policy: str) -> None:
-        """Draw the header: scenario, policy, time, number of active robots, legend of marks, "
-        "contacts.
-        """
+        """Draw scenario, policy, time, number of active robots, legend of marks, contacts."""
         moment, unit, page = history.moments[-1], self._unit, self._fine
         n, left = len(moment.merged_into), int(moment.active.sum())
         middle, size = 16 * unit, 21 * unit

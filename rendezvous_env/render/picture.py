@@ -259,9 +259,7 @@ class TeamPicture:
     def _draw_bearings(
         self, canvas: pygame.Surface, moment: Moment, pixels: Floats, bearings: Floats, which: Bools
     ) -> None:
-        """Draw short arrows along bearings to neighbours, in their colour, and to edges of "
-        "obstacles.
-        """
+        """Draw arrows along bearings to neighbours, in their colour, and to obstacle edges."""
         layout, unit = self._scenario.observation_layout, self._unit
         lengths = np.linalg.norm(bearings[:, : layout.obstacles.stop], axis=-1)
         robots, rows = np.nonzero((lengths > 0) & which[:, None])

@@ -139,9 +139,7 @@ _RENAMED = {
 
 
 def check_sees_all_neighbours(scenario: Scenario) -> None:
-    """Reject a scenario in which rows of neighbours may be omitted, so that they do not sum to "
-    "f.
-    """
+    """Reject a scenario that may omit neighbour rows, since f is then not their sum."""
     if scenario.drops_neighbours:
         most = scenario.sensing_graph.most_neighbours(scenario.n_robots)
         raise ValueError(

@@ -265,9 +265,7 @@ class Scenario:
 
     @cached_property
     def bottleneck_weight(self) -> float:
-        """Worst-case bottleneck weight a*, m/s; see ``GraphNumbers.bottleneck_weight`` (theory
-        3).
-        """
+        """Worst-case bottleneck weight a*, m/s (theory 3); see ``GraphNumbers``."""
         return float(self.sensing_graph.bottleneck_weight(self.n_robots))
 
     @property
@@ -466,8 +464,7 @@ class Scenario:
 
     @property
     def drops_neighbours(self) -> bool:
-        """True if a robot may have more neighbours than rows, so that only the nearest are
-        observed.
+        """True if only the nearest neighbours are observed, since there may be more than rows.
         """
         slots, most = self.neighbour_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return self.neighbour_overflow == "nearest" and slots is not None and slots < most
@@ -596,8 +593,7 @@ class Scenario:
         self._check_slots("obstacle_slots", least, MAX_OBSTACLES, wanted)
 
     def _check_bodies(self) -> None:
-        """Check that bodies cannot overlap: every pair docks at r, or bodies stop (guarantees
-        13).
+        """Check that bodies cannot overlap: every pair merges at r, or bodies stop (guarantees 13).
         """
         packs, n, radius = self.meeting == "pack", self.n_robots, self.body_radius
         if radius is None:

@@ -253,9 +253,7 @@ class Monitor:
         return found
 
     def _time_without_progress(self, alone: Mask) -> Array:
-        """Time since the last merge or decrease of the minimum V by a fraction of a* r, (B,), "
-        "s; −∞ once met.
-        """
+        """Time since the last merge or new minimum of V, (B,), s; −∞ after rendezvous."""
         now, scenario = self.now, self.scenario
         least = _PROGRESS * scenario.bottleneck_weight * scenario.merge_radius
         progress = ~alone | (now.lyapunov < self.lowest - least)

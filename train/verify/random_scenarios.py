@@ -281,9 +281,7 @@ def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
 
 
 def _in_an_area(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Scenario with initial positions in a rectangle or box; in 2-D half of them in two convex
-    parts.
-    """
+    """Scenario with initial positions in a rectangle or box, or in two convex parts of it."""
     r, dim = scenario.merge_radius, scenario.dim
     edges = [r * log_uniform(random, 16.0, 60.0) for _ in range(dim)]
     changes: dict[str, Any] = {"spawn_size": edges, "start_positions": None}

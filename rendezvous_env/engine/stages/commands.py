@@ -405,9 +405,7 @@ def _draw_turns(width, walk, counter, keys, words, work):
 
 @inner_kernel(inline="code")
 def _turn_by(width, axes, entries, turn, draws, work, environment, robot):
-    """Rotate the frame of a robot by its constant drift, a cosine and a sine, and by sampled "
-    "angles.
-    """
+    """Rotate the frame of a robot by its drift, a cosine and a sine, and by sampled angles."""
     lanes, d = lane_count(width), len(axes)
     for lane in range(lanes):
         running = environment[STATUS * lanes + lane] == RUNNING
