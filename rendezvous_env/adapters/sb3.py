@@ -239,8 +239,7 @@ class RobotVecEnv(VecEnv):
         return [value] * len(slots)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute on the object that has it; a subset of slots is rejected.
-        """
+        """Set an attribute on the object that has it; a subset of slots is rejected."""
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(f"set_attr: all slots share {attr_name!r}; leave indices out")
         setattr(self._owner(attr_name, self.vector_env), attr_name, value)

@@ -464,8 +464,7 @@ class Scenario:
 
     @property
     def drops_neighbours(self) -> bool:
-        """True if only the nearest neighbours are observed, since there may be more than rows.
-        """
+        """True if only the nearest neighbours are observed, since there may be more than rows."""
         slots, most = self.neighbour_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return self.neighbour_overflow == "nearest" and slots is not None and slots < most
 
@@ -593,8 +592,7 @@ class Scenario:
         self._check_slots("obstacle_slots", least, MAX_OBSTACLES, wanted)
 
     def _check_bodies(self) -> None:
-        """Check that bodies cannot overlap: every pair merges at r, or bodies stop (guarantees 13).
-        """
+        """Check that bodies cannot overlap: every pair merges at r, or bodies stop (guarantees 13)."""
         packs, n, radius = self.meeting == "pack", self.n_robots, self.body_radius
         if radius is None:
             if packs:

@@ -109,7 +109,7 @@ class Adversary:
         return np.asarray(self.spin * teams.time[:, None, None])
 
     def controls(self, observations: Float32, teams: BatchMoment) -> Array:
-        """Normalised inputs of nonholonomic robots: away from f, across, held, random, alternating."""
+        """Normalised inputs of nonholonomic robots: away from f, across, held or random."""
         scenario, layout = self.scenario, self.scenario.observation_layout
         f, gravity = layout.net_bearing(observations), layout.split(observations).gravity
         size = scenario.action_size - (self.by == "heading")

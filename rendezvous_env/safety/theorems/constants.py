@@ -185,7 +185,7 @@ def tank_bounds(
 
 @_of_the_last
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of given initial conditions, or 2 W × the diagonal of the spawn area, m²/s (theory 4)."""
+    """V(0) of given initial conditions, or 2 W × the spawn diagonal, m²/s (theory 4)."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
         weights = graph.base_weights(n) * graph.weight_range[1]
