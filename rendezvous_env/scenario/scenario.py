@@ -592,7 +592,7 @@ class Scenario:
         self._check_slots("obstacle_slots", least, MAX_OBSTACLES, wanted)
 
     def _check_bodies(self) -> None:
-        """Check that bodies cannot overlap: every pair merges at r, or bodies stop (guarantees 13)."""
+        """Check that bodies cannot overlap: pairs merge at r, or bodies stop (guarantees 13)."""
         packs, n, radius = self.meeting == "pack", self.n_robots, self.body_radius
         if radius is None:
             if packs:
