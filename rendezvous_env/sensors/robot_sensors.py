@@ -47,7 +47,7 @@ def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
         ]
     for robot, (value, sensor) in enumerate(zip(values, sensors, strict=True)):
         if name in PER_ROBOT and (given := sensor.list_given(name)) is not None:
-            wanted = "one number, not a list, in the sensor of one robot"
+            wanted = "one value, not a list, in the sensor of one robot"
             checks.raise_invalid(f"{field}[{robot}].{name}", given, wanted)
         if name not in PER_ROBOT and value != values[0]:
             raise ValueError(
