@@ -103,7 +103,7 @@ def test_grace_period_ends_unresponsive_command(number, body, tmp_path):
     time.sleep(1.0)
     status, _, wrong, took = stop(process, number)
     assert status == 128 + number and interrupts.GRACE - 0.1 < took < 5.0
-    assert wrong.startswith("rendezvous compare: interrupted; it did not stop by itself")
+    assert wrong.startswith("rendezvous compare: interrupted; it did not stop in time")
 
 
 class TestInside:

@@ -343,7 +343,7 @@ def test_modified_standalone_file_is_rejected(exported, tmp_path, seed):
     place = content.index(b"WEIGHTS = ") + 5000
     path.write_bytes(content[:place] + b"B" + content[place + 1 :])
     assert content[place : place + 1] != b"B"
-    with pytest.raises(ValueError, match=r"robot\.py: its content was changed: the digest"):
+    with pytest.raises(ValueError, match=r"robot\.py: its content was changed: its digest"):
         standalone.load(path)
 
 
@@ -388,7 +388,7 @@ except ValueError as error:
     print(error)
 """
     done = run_python(tmp_path, "-I", "-c", ask)
-    assert "robot.py: its content was changed: the digest" in done.stdout
+    assert "robot.py: its content was changed: its digest" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -410,7 +410,7 @@ except ValueError as error:
         ),
         (["--standalone", "x.py", "--robot", "8"], "--robot 8: robot is 8; it must be an integer"),
         (["--standalone", "folder.py"], "--standalone folder.py: is a folder; name a file"),
-        (["--standalone", "own.py"], "--standalone own.py: is there already, and not of this"),
+        (["--standalone", "own.py"], "--standalone own.py: exists, and was not written by this"),
         (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),
     ],
 )
@@ -649,7 +649,7 @@ def test_a_law_of_a_users_own_file_stands_in_one_file(own, function, tmp_path):
     [
         ("by_size", "the file differs from the policy by .* In one file a scenario has n_robots ="),
         ("by_room", "no attribute 'spawn_size'. In one file a scenario has n_robots = 1"),
-        ("with_scipy", "it imports scipy; one file needs NumPy and nothing else"),
+        ("with_scipy", "it imports scipy; a standalone file may use NumPy only"),
     ],
 )
 def test_a_law_that_needs_more_is_refused(own, function, message, one_line, tmp_path):

@@ -239,7 +239,7 @@ def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     assert list((tmp_path / "tmp").rglob("*.code"))
     script = "import tempfile; tempfile.tempdir = '/dev/null'; " + script  # no place at all
     found = python(script, tmp_path, **places)
-    assert found.stdout.split() == ["6.0"] and "made anew each time" in found.stderr
+    assert found.stdout.split() == ["6.0"] and "compiled in every process" in found.stderr
 
 
 def test_cache_does_not_use_a_temporary_folder_that_others_can_write_to(tmp_path, monkeypatch):

@@ -362,7 +362,7 @@ def test_merge_beside_a_fast_obstacle_stays_outside():
         ({"speed": 1.0}, "Moving.box is None; .* two corners"),
         ({"speed": 1.0, "box": ((1, 1), (2, 2))}, "Moving.box is .* around the centre"),
         ({"speed": -1.0, "box": ((-1, -1), (2, 2))}, "Moving.speed is -1.0; .* positive"),
-        ({"velocity": (1, 0), "box": ((-1, -1), (2, 2))}, "Moving.box is .* left out"),
+        ({"velocity": (1, 0), "box": ((-1, -1), (2, 2))}, "Moving.box is .* omitted"),
     ],
 )
 def test_moving_refuses_wrong_fields(fields, message):

@@ -111,7 +111,7 @@ def test_limits_survive_files(tmp_path):
                 "body_radius": [0.1, 0.05, 0.1],
                 "start_positions": [[0.0, 0.0], [0.12, 0.0], [5.0, 0.0]],
             },
-            "robot_0 and robot_1 stand 0.12 m apart; it must be at least 0.15",
+            "robot_0 and robot_1 are 0.12 m apart; it must be at least 0.15",
         ),
     ],
 )

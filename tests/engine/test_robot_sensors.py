@@ -156,7 +156,7 @@ def test_lists_of_equal_values_keep_their_length_in_copies(name):
     copied = dataclasses.replace(rv.Sensing(**{name: [value] * 3}), sectors=90)
     with pytest.raises(ValueError, match=f"sensing.{name} is .*; it must be 5 "):
         PLANE.replace(sensing=copied)
-    with pytest.raises(ValueError, match=rf"sensing\[0\].{name} is .*one value in a list"):
+    with pytest.raises(ValueError, match=rf"sensing\[0\].{name} is .*one value, not a list"):
         PLANE.replace(sensing=[copied, *[rv.Sensing(sectors=90)] * 4])
     again = rv.Sensing(**copied.to_plain())
     assert again == copied == pickle.loads(pickle.dumps(copied)) and again.per_robot == (name,)

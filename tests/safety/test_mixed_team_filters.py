@@ -205,9 +205,9 @@ DOUBLE = ["single_integrator", "unicycle", "double_integrator", "unicycle"]
         (team(), "gains", "that of unicycle robots is v, ω"),
         (team(3), "links", "that of nonholonomic_3d robots is v, ω"),
         (team(graph=rv.graphs.directed_cycle()), "heading", "no theorem on directed graphs"),
-        (team(obstacles=[rv.Disc((0.0, 0.0), 0.3)]), "heading", "obstacles can hold a robot back"),
-        (team(sensing=rv.Sensing(dropout=0.1)), "heading", "neighbours can be out of sight"),
-        (team(activation="random", hold="stop"), "heading", "clocks of their own"),
+        (team(obstacles=[rv.Disc((0.0, 0.0), 0.3)]), "heading", "an obstacle can block a robot"),
+        (team(sensing=rv.Sensing(dropout=0.1)), "heading", "neighbours can be invisible"),
+        (team(activation="random", hold="stop"), "heading", "activation is asynchronous"),
     ],
 )
 def test_certificate_names_the_unmet_assumption(scenario, by, message):
