@@ -6,6 +6,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 SITE := import sysconfig; print(sysconfig.get_path('purelib'))
 export OMP_WAIT_POLICY := PASSIVE
+# tests start hundreds of processes, which would all compile the same files to bytecode
+export PYTHONDONTWRITEBYTECODE :=
 
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))

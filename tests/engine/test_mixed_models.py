@@ -75,7 +75,6 @@ def played(scenario: rv.Scenario, batch: int, steps: int = 30) -> list[dict]:
     return found
 
 
-@pytest.mark.kernels
 @IN_PLANE
 def test_mixed_models_each_robot_moves_as_in_a_team_of_its_model(case):
     scenario = team(case, local_frames="global", merge_radius=0.05, **LONG_STEP)
