@@ -669,7 +669,10 @@ def test_a_law_of_a_users_own_file_stands_in_one_file(own, function, tmp_path):
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        ("by_size", "the file differs from the policy by .* In one file a scenario has n_robots ="),
+        slow(
+            "by_size",
+            "the file differs from the policy by .* In one file a scenario has n_robots =",
+        ),
         ("by_room", "no attribute 'spawn_size'. In one file a scenario has n_robots = 1"),
         ("with_scipy", "it imports scipy; one file needs NumPy and nothing else"),
     ],

@@ -269,7 +269,8 @@ def test_persistence_without_a_miss_changes_nothing():
 
 @pytest.mark.parametrize(
     "scenario",
-    [pytest.param(PLANE, id="plane", marks=pytest.mark.kernels), pytest.param(SPACE, id="space")],
+    [pytest.param(PLANE, marks=pytest.mark.kernels), slow(SPACE)],
+    ids=["plane", "space"],
 )
 def test_outliers_are_uniform_directions_of_the_length_of_a_row(scenario):
     sim, exact = simulator(sensing(scenario, outliers=0.25), 400), simulator(scenario, 400)

@@ -94,7 +94,7 @@ CASES = {
     "noise on a cycle": ("ring-12", None, {"sensing": rv.Sensing(noise=0.2, dropout=0.2)}),
 }  # fmt: skip
 SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
-FAST = {"discs"}
+FAST = {"plane"}
 TOUCHING = {"discs", "figure", "corridor", "all shapes"}
 
 
