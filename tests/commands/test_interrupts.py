@@ -28,7 +28,7 @@ COMMANDS = {
 }
 """Commands that may take long; the others share the same lines of cli.py."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
-KILLS = 6
+KILLS = 4
 
 
 def start(words, folder, before=""):
@@ -181,7 +181,7 @@ def test_killed_compare_leaves_complete_folder(tmp_path):
     out, moments, kills, runs = tmp_path / "out", random.Random(0), 0, 0
     while kills < KILLS:
         seed = runs % 2
-        due = runs < kills // 4  # some come to their end, however busy the machine is
+        due = runs < kills // 3  # some come to their end, however busy the machine is
         moment = None if due else moments.uniform(0.4, 0.9) * took  # at work, or about to be
         status = live(comparison(out, seed), tmp_path, moment)
         assert status in (0, -signal.SIGKILL)
