@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from conftest import ROOT, run_python
+from parameters import slow
 
 from rendezvous_env import compilation, kernel_cache
 from rendezvous_env.engine.stages.apply_noise import apply_noise
@@ -220,7 +221,7 @@ def test_cache_key_of_a_type_covers_the_functions_that_it_chooses(monkeypatch):
     assert misses() == misses() == 1  # no later process finds a type of the script that is run
 
 
-@pytest.mark.parametrize("chosen", [False, True], ids=["folder and home", "NUMBA_CACHE_DIR"])
+@pytest.mark.parametrize("chosen", [slow(False), True], ids=["folder and home", "NUMBA_CACHE_DIR"])
 def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     package(tmp_path, 0.5)
     file = tmp_path / "file"

@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pytest
 from conftest import UNEQUAL, started
+from parameters import marked
 from test_sensing_engine import PLANE, RING, SPACE, WALLED, act
 
 import rendezvous_env as rv
@@ -69,9 +70,8 @@ def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
     return np.stack(found)
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("others", OTHERS)
-@pytest.mark.parametrize("team", TEAMS)
+@pytest.mark.parametrize("team", marked(TEAMS, kernels=["space"]))
 def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
     scenario, common = TEAMS[team], OTHERS[others]
     found = seen(scenario.replace(sensing=mixed(others)), 2)

@@ -153,7 +153,7 @@ class TestResume:
         assert_same_run(whole, folder)
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("kills", [6])
+    @pytest.mark.parametrize("kills", [4])
     def test_kill_at_random_times_resumes(self, kills, whole, tmp_path):
         folder, moments = tmp_path / "run", random.Random(kills)
         words = flags(folder)
