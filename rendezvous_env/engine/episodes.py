@@ -1,4 +1,4 @@
-"""Episodes: seed, episode number and initial condition of each environment."""
+"""Reset of episodes: seed, episode number and initial condition of each environment."""
 
 import math
 from collections.abc import Callable
@@ -21,18 +21,18 @@ from .edge_tables import as_kept
 from .memory import AWAITING_RESET, RUNNING, Robot
 from .memory_layout import Scratch
 from .preparation import StartRules, fixed_links, fixed_obstacles, start_rules
-from .state import State
+from .state import BatchState
 
 
-class Episodes:
+class EpisodeReset:
     """Initialises the episodes of B environments."""
 
-    def __init__(self, state: State, robot: Robot, scratch: Scratch) -> None:
+    def __init__(self, state: BatchState, robot: Robot, scratch: Scratch) -> None:
         self._state, self._robot, self._scratch = state, robot, scratch
         self._rules = start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots
         self._links = None if links is None else as_kept(state.links, [links], n)
-        self._obstacles = state.with_index(fixed_obstacles(state.scenario))
+        self._obstacles = state.share(fixed_obstacles(state.scenario))
         self._unturned = _unturned(state.scenario)
         self._entries: dict[Any, Callable[..., Any]] = {}
 
@@ -239,7 +239,7 @@ class Episodes:
         if obstacles is not None:
             tables = _for_each(obstacles, which)
             given_world = world_of(tables, dim=scenario.dim) if obstacles.size else None
-            world = state.with_index(given_world)
+            world = state.with_index(given_world, which)
         if world:
             state.give(which, **world)
         if state.traffic.size:
