@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import Registry, bools, choice, raise_invalid, short_repr
+from rendezvous_env.deprecation import warn_renamed
 from rendezvous_env.field_checks import known_fields
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
@@ -169,6 +170,13 @@ class _Entry(NamedTuple):
 
 
 _registry: dict[str, _Entry] = {}
+_FORMER = {
+    "tangent-joined": "tangent-merged",
+    "tangent-joined-certified": "tangent-merged-certified",
+    "tangent-joined-tuned": "tangent-merged-tuned",
+    "tank-joined": "tank-merged",
+}
+"""Deprecated names of policies."""
 AT_PATH = "learned:"
 """Prefix of the path of a learned policy in a name."""
 _readers: dict[str, Callable[[str, Scenario], Policy]] = {}
@@ -220,27 +228,39 @@ def register_reader(prefix: str, read: Callable[[str, Scenario], Policy]) -> Non
     _readers[prefix] = read
 
 
-# The next four raise a KeyError for a name that is not registered.
+def current_name(name: str) -> str:
+    """Name of a policy that may be given by a deprecated name; other names are returned as given.
+
+    A policy that users register under a deprecated name keeps it.
+    """
+    return name if name in _registry else _FORMER.get(name, name)
+
+
+# The next four raise a KeyError for a name that is not registered; deprecated ones are accepted.
 
 
 def kind_of(name: str) -> str:
     """Kind of a policy, one of KINDS."""
-    return "learned" if name.startswith(AT_PATH) else _registry[name].kind
+    return "learned" if name.startswith(AT_PATH) else _entry(name).kind
 
 
 def on_request(name: str) -> bool:
     """True if a comparison includes a policy only if named."""
-    return _registry[name].on_request
+    return _entry(name).on_request
 
 
 def builder_of(name: str) -> Callable[..., Policy]:
     """Builder of a policy."""
-    return _registry[name].build
+    return _entry(name).build
 
 
 def about(name: str) -> str:
     """One-line description of a policy, from its builder's docstring; empty without one."""
-    return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")
+    return (inspect.getdoc(_entry(name).build) or "").partition("\n")[0].rstrip(".")
+
+
+def _entry(name: str) -> _Entry:
+    return _registry[current_name(name)]
 
 
 def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -> Policy:
@@ -248,7 +268,7 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
 
     ``name`` is one of ``names(scenario)``, or "learned:PATH" of a training run, a checkpoint or an
     exported network; a Path is equivalent. ``options`` are those of the policy, for example
-    ``clearance`` of "tangent-joined".
+    ``clearance`` of "tangent-merged".
 
     Raises:
         ValueError: for an unknown name or option, or a policy that does not fit the scenario; the
@@ -261,6 +281,9 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         if isinstance(name, str) and name.startswith(prefix):
             known_fields(options, (), f"policy {short_repr(name)}", "option")
             return read(name.removeprefix(prefix), scenario)
+    if isinstance(name, str) and (current := current_name(name)) != name:
+        warn_renamed(f"policy {name!r}", repr(current))
+        name = current
     fitting = names(scenario)
     if not isinstance(name, str) or name not in fitting:
         known = "is unknown"

@@ -12,8 +12,8 @@ from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from . import policy as registry
 from .laws.paper_laws import LAW_OF_MODEL
+from .observation_builder import ObservationBuilder
 from .policy import Policy, RealTimePolicy
-from .robot_sight import RobotSight
 from .steering import check_steerable
 
 _KINDS = ("law", "rule", "learned")
@@ -53,7 +53,7 @@ class OneRobot:
     ) -> None:
         self.scenario, self.policy = scenario, policy
         layout, team = scenario.observation_layout, team or scenario
-        self._sight = RobotSight(layout, scenario.max_degree, gain)
+        self._builder = ObservationBuilder(layout, scenario.max_degree, gain)
         self._time = -1.0  # before the first tick
         shape = team.observation_layout.shape
         self._team = np.zeros((1, team.n_robots, *shape), dtype=np.float32)
@@ -97,7 +97,7 @@ class OneRobot:
             ValueError: naming the argument, its value and the remedy; the state is then unchanged.
         """
         elapsed = self.scenario.tau if dt is None else positive("dt", dt, "s")
-        rows = self._sight.rows(bearings, obstacles, weights, gravity)
+        rows = self._builder.rows(bearings, obstacles, weights, gravity)
         self._team[0, self._robot, : len(rows)] = rows
         self._time = self._time + elapsed if self._time >= 0.0 else 0.0
         if isinstance(self.policy, RealTimePolicy):
@@ -110,7 +110,7 @@ class OneRobot:
     def reset(self) -> None:
         """Reset all memory; the next tick is the first."""
         self._time = -1.0
-        self._sight.forget()
+        self._builder.forget()
         if hasattr(self.policy, "reset"):
             self.policy.reset()
 

@@ -37,14 +37,14 @@ from rendezvous_env.safety.heading import scale_of_step
 from rendezvous_env.safety.turning import TINY, Robot, mean_axis, pitch_of, rates_of, robot_of
 from rendezvous_env.scenario.scenario import Scenario
 
-from .obstacle_rules.merged_silhouettes_2d import joined_interval_2d
+from .obstacle_rules.merged_intervals_2d import merged_interval_2d
+from .obstacle_rules.obstacle_edges import is_seen
 from .obstacle_rules.planes_in_space import (
     axis_is_clear_3d,
     cut_by,
     kept_azimuth,
     widened_rays,
 )
-from .obstacle_rules.silhouettes import is_seen
 from .policy import Float32
 from .records import Array, Records
 from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
@@ -241,7 +241,7 @@ def _look_in_planes(teams, observations, way, memory, seen):
             if dot(aside, before) < 0.0:  # left stays left
                 aside = scaled(aside, -1.0)
                 cut_by(u, aside, cones[0], cones[1])
-            low, high, _, _ = joined_interval_2d(X_AXIS, cones[1], cones[2])
+            low, high, _, _ = merged_interval_2d(X_AXIS, cones[1], cones[2])
             blocked = low < way.clearance and high > -way.clearance
             kept[_BLOCKED] = 1.0 if blocked else 0.0
             kept[_ANGLE] = angle
@@ -327,7 +327,7 @@ def _turn_in_planes(teams, actions, way, memory, velocities):
             store(_in_plane(velocity, plane), velocities[team, i])
 
 
-class SteadyPlanes(_Bodies):
+class OdometryPlane(_Bodies):
     """Planes of the 3-D robots of B environments; the counterpart of ``OdometryFrame``.
 
         (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + rotation of f in the plane

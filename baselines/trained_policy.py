@@ -21,7 +21,7 @@ from rendezvous_env.vector import training_env
 
 from .filtered_policies import DecidingPolicy, FilteredPolicy, guarantee_with
 from .learned import checkpoints, learned_policy
-from .learned.learned_policy import GuidedPolicy, LearnedPolicy
+from .learned.learned_policy import ControllerPolicy, LearnedPolicy
 from .learned.onnx_network import SUFFIX, checked_session
 from .learned.training_environment import FeatureVectorEnv
 from .policy import AT_PATH, Float32, Mask, TeamPolicy, register_reader, within_limits
@@ -213,7 +213,7 @@ def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPo
 register_reader(AT_PATH, load)
 
 
-class _PresetPolicy(GuidedPolicy):
+class _PresetPolicy(ControllerPolicy):
     """Policy with the observations and base controller of the shipped policies."""
 
     def __init__(self, scenario: Scenario, ask: Predict, env: FeatureVectorEnv) -> None:
@@ -226,4 +226,4 @@ class _PresetPolicy(GuidedPolicy):
 
     def _choose(self, shown: Float32, due: Mask) -> None:
         self._held[due] = self._ask(shown)[due]
-        (self._guided.choose if self._discrete else self._guided.head)(self._held)
+        (self._controller.choose if self._discrete else self._controller.head)(self._held)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .engine.memory import RENDEZVOUS, TIME_OUT
-from .engine.state import State
+from .engine.state import BatchState
 from .outcome import ELAPSED, StepOutput
 from .physics.hull_perimeter import size
 from .scenario.scenario import Scenario
@@ -35,7 +35,7 @@ class StateView:
     """
 
     scenario: Scenario
-    _state: State
+    _state: BatchState
 
     status = _statistic(
         "status",

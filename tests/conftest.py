@@ -230,7 +230,7 @@ def compared(tmp_path_factory):
     from train.compare import compare
 
     out = tmp_path_factory.mktemp("compared")
-    policies = ("bearing-only", "tangent-joined", "nonholonomic-3d", "zero")
+    policies = ("bearing-only", "tangent-merged", "nonholonomic-3d", "zero")
     config = compare.Config(("fig4", "uav-6"), policies, episodes=4, seed=3, keep=2, out=out)
     assert compare.run(config) == 0
     return out

@@ -12,7 +12,7 @@ import io
 import os
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module, metadata
 from itertools import chain, pairwise
@@ -96,8 +96,29 @@ def _run(command: str, flags: Sequence[str]) -> int:
     if {"-h", "--help"} & set(flags):
         Console(highlight=False).print(help_of(command, module), soft_wrap=True)
         return 0
-    config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
+    words = current_flags(flags, getattr(module, "FORMER_FLAGS", {}))
+    config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=words)
     return int(module.run(config) or 0)
+
+
+def current_flags(words: Sequence[str], former: Mapping[str, str]) -> list[str]:
+    """Words of a command line without deprecated flags and policies.
+
+    Each replacement prints a warning.
+    """
+    from .checks import current_policy
+
+    current = []
+    for word in words:
+        name, equals, value = word.partition("=")
+        if new := former.get(name.replace("_", "-")):
+            print(f"warning: {name} is called {new} now", file=sys.stderr)
+            word = new + equals + value
+        if (new := current_policy(word)) != word:
+            names = (one.rpartition("=")[2] for one in (word, new))
+            print("warning: policy {} is called {} now".format(*names), file=sys.stderr)
+        current.append(new)
+    return current
 
 
 def _say(command: str, what: str) -> int:

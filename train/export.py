@@ -294,7 +294,7 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
         opset_imports=[helper.make_opsetid("", _OPSET)],
         ir_version=_IR_VERSION,
         producer_name="rendezvous-env",
-        doc_string="Which heading to take. Guide and guarantee follow: see baselines.RobotPolicy.",
+        doc_string="Choice of a heading. Base controller and filter: see baselines.RobotPolicy.",
     )
     checker.check_model(made, full_check=True)
     about = {

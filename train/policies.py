@@ -38,7 +38,7 @@ from rendezvous_env.trajectory import Policy, begin
 
 from .checks import GivenScenario, UserError, unknown_name, user_error
 
-_BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
+_BEST = ("learned-tank", "tank-merged", "learned", "tangent-merged-tuned", "tangent-merged")
 """Policies for obstacles, in order of decreasing collision-free success."""
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared only if named."""

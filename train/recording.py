@@ -99,7 +99,7 @@ def _marks(found: Recording, steps: NDArray[np.int64]) -> NDArray[np.uint8]:
     return marks
 
 
-class Recorder:
+class EpisodeRecorder:
     """Recorder of one environment of a batch after a reset, with observations unless exact."""
 
     def __init__(

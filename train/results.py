@@ -22,9 +22,9 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .checks import UserError, user_error
 
-FORMAT_VERSION = 7
+FORMAT_VERSION = 8
 """Format version of the files of ``compare``; raised with every visible change."""
-READABLE_VERSIONS = (5, 6, 7)
+READABLE_VERSIONS = (5, 6, 7, 8)
 """Format versions that this version reads."""
 FORMER_COLUMNS = {
     former: former.replace("clean", "collision_free", 1)
@@ -33,7 +33,7 @@ FORMER_COLUMNS = {
         "clean_difference_low", "clean_difference_high", "clean_planner", "clean_best",
         "clean_mean", "never_clean",
     )
-}  # fmt: skip
+} | {"start": "initial_condition"}  # fmt: skip
 """Columns by the names that they have in older files."""
 
 _INTERVAL = "of the 95 % interval of the column before it; empty for a single episode"

@@ -79,7 +79,7 @@ class Features(StatefulMixin):
     """Features of B environments of n robots, computed once per decision.
 
     Args:
-        scenario: defines the sensors; 3-D robots observe planes (``SteadyPlanes``).
+        scenario: defines the sensors; 3-D robots observe planes (``OdometryPlane``).
         num_envs: B.
         decision_time: default time between two decisions of an environment, s.
         obstacle_slots: M; rows beyond those of the scenario are absent. None uses the scenario's.

@@ -16,7 +16,7 @@ from .policy_settings import PolicySettings
 _SHIPPED = {
     "learned": (
         "pretrained",
-        "Network that rotates f for the rule tangent-joined-tuned, under certified headings.",
+        "Network that rotates f for the rule tangent-merged-tuned, under certified headings.",
     ),
     "learned-tank": (
         "pretrained_tank",

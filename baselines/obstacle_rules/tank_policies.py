@@ -38,7 +38,7 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import Float32, Mask, StatefulPolicy, register
 from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, inputs_towards
-from .merged_silhouettes_2d import TWO_PI, axis_is_clear, joined_interval_2d
+from .merged_intervals_2d import TWO_PI, axis_is_clear, merged_interval_2d
 from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
 from .planes_in_space import axis_is_clear_3d, kept_azimuth, widened_rays
 
@@ -146,7 +146,7 @@ def _way_in_space(towards, before, spent, settings, memory, views):
 @inner_kernel
 def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
     """True if any direction is free, and the angle from f to the heading, rad."""
-    joined = joined_interval_2d(towards, silhouettes, intervals)
+    joined = merged_interval_2d(towards, silhouettes, intervals)
     low, high = joined[0], joined[1]
     clearance, held = settings.clearance, memory[SIDE]
     if high - low >= TWO_PI:
@@ -175,7 +175,7 @@ def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
 def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals):
     """Edge of the wall next to the heading, rad from f, and the gap beyond; else the defaults."""
     feeler = kept - side * _BEHIND_EDGE * settings.clearance
-    felt = joined_interval_2d(rotated(towards, feeler), silhouettes, intervals)
+    felt = merged_interval_2d(rotated(towards, feeler), silhouettes, intervals)
     if felt[1] - felt[0] >= TWO_PI:
         return edge, gap
     nearest, beyond = _edge(felt, side)
@@ -233,8 +233,8 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
     return speed, rates
 
 
-@register("tank-joined", fits=can_pass_obstacles, kind="tank")
-class TankJoinedPolicy(StatefulPolicy):
+@register("tank-merged", fits=can_pass_obstacles, kind="tank")
+class TankMergedPolicy(StatefulPolicy):
     """Wall following under an energy tank, on alternating sides and ever farther.
 
     An obstacle that blocks f is passed on one side, along the wall, until f is free. The path may

@@ -82,9 +82,9 @@ class DirectCommands(SafetyFilter):
         return [partial(command, part, observations, *given, actions)]
 
 
-class DirectTeams:
+class DirectController:
     """Speeds and turn rates from a network, for B environments, with the interface of
-    ``GuidedTeams``: show → (a network chooses) → choose → apply.
+    ``BaseController``: show → (a network chooses) → choose → apply.
 
     Args:
         commands: choices, (choices, 2): speed and turn rate in units of their limits.
@@ -128,7 +128,7 @@ class DirectTeams:
         which: Mask | None = None,
         elapsed: Array | None = None,
     ) -> Float32:
-        """Features (B, n, size) of environments of a mask (B,), None for all; see GuidedTeams."""
+        """Features (B, n, size) of environments of a mask (B,); see ``BaseController.show``."""
         observations, memory = check_observations(observations, self._seen), self.perception
         teams = np.arange(len(observations))
         if which is not None:
@@ -159,7 +159,7 @@ class DirectTeams:
         self.steering.held[...] = np.clip(given, -1.0, 1.0) * self._limits
 
     def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:
-        """Actions (B, n, 2), as ``GuidedTeams.apply``."""
+        """Actions (B, n, 2), as ``BaseController.apply``."""
         return self.steering.apply(observations, elapsed=elapsed)
 
     def apply_calls(

@@ -15,7 +15,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from ..deprecation import renamed_attribute
-from .torchrl import GROUP, RendezvousEnv
+from .torchrl import GROUP, RendezvousTorchRLEnv
 
 __all__ = ["Evaluation", "HeldOut", "RendezvousTask"]
 
@@ -31,7 +31,7 @@ class RendezvousTask(TaskClass):
 
     Args:
         name: name of the scenario, or of the task if the config has the key "scenario".
-        config: arguments of ``adapters.torchrl.RendezvousEnv``. ValueError for arguments set by
+        config: arguments of ``RendezvousTorchRLEnv``. ValueError for arguments set by
             BenchMARL: num_envs, discrete, seed and device.
     """
 
@@ -43,9 +43,11 @@ class RendezvousTask(TaskClass):
             )
         super().__init__(name, config)
 
-    def make(self, num_envs: int, **decided: Any) -> RendezvousEnv:
+    def make(self, num_envs: int, **decided: Any) -> RendezvousTorchRLEnv:
         """Create the environment with the arguments set by BenchMARL or an evaluation."""
-        return RendezvousEnv(**{"scenario": self.name, **self.config}, num_envs=num_envs, **decided)
+        return RendezvousTorchRLEnv(
+            **{"scenario": self.name, **self.config}, num_envs=num_envs, **decided
+        )
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any

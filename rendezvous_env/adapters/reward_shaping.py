@@ -13,7 +13,7 @@ from gymnasium.wrappers.vector import NormalizeReward
 from numpy.typing import NDArray
 
 from ..envs.guarantee import layers_of
-from ..envs.training import TrainingTeams
+from ..envs.training import TrainingVectorEnv
 from ..envs.vector_env import RendezvousVectorEnv, Transition
 from ..envs.vector_wrappers import GuaranteeWrapper
 
@@ -36,10 +36,10 @@ class RewardShaping:
     that changes observations must also change ``infos["final_obs"]``.
     """
 
-    def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
+    def __init__(self, vector_env: VectorEnv[Any, Any, Any]) -> None:
         self._top: _Changes | None = None
         above: Any = None
-        for layer in [*layers_of(teams)]:
+        for layer in [*layers_of(vector_env)]:
             if not isinstance(layer, _OURS) and hasattr(layer, "env"):
                 if type(layer.env) is not _Recorder:
                     layer.env = _Recorder(layer.env)
@@ -212,4 +212,4 @@ def _twin(layer: Any) -> Any:
     return twin
 
 
-_OURS = (RendezvousVectorEnv, GuaranteeWrapper, TrainingTeams, _Recorder)
+_OURS = (RendezvousVectorEnv, GuaranteeWrapper, TrainingVectorEnv, _Recorder)

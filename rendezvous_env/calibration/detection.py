@@ -285,7 +285,7 @@ def _blind_zone(chances: Chances) -> Estimate:
     return Estimate(max(edge - _RUN * spacing, 0.0), max(low, 0.0), edge + spacing)
 
 
-class Memory(NamedTuple):
+class DetectionMemory(NamedTuple):
     """Detection in successive frames."""
 
     persistence: Estimate  # s; 0 is independent
@@ -296,7 +296,7 @@ class Memory(NamedTuple):
     runs_missed: list[int]
 
 
-def find_memory(chances: Chances, view: View, blocks: Blocks) -> Memory:
+def find_memory(chances: Chances, view: View, blocks: Blocks) -> DetectionMemory:
     """Time constant of detection, by maximum likelihood of successive opportunities in view."""
     inner = np.abs(chances.bearing) <= view.half_field.value - view.falloff.value
     inner &= chances.distance >= view.min_range.value
@@ -310,7 +310,7 @@ def find_memory(chances: Chances, view: View, blocks: Blocks) -> Memory:
     after = float(b[~a].mean()) if (~a).any() else math.nan
     step = float(np.median(gap)) if len(gap) else 0.0
     runs = _runs(rows)
-    none = Memory(Estimate(0.0, 0.0, 0.5 * step), again, after, step, *runs)
+    none = DetectionMemory(Estimate(0.0, 0.0, 0.5 * step), again, after, step, *runs)
     varies = (view.probability(rows) < 0.98).mean() > 0.02 if len(p) else False
     if len(second) < 100 or not varies:
         return none

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .blocks import CONFIDENCE, DRAWS, Blocks
-from .detection import Memory, View, find_memory, find_view
+from .detection import DetectionMemory, View, find_memory, find_view
 from .errors import (
     Constant,
     Correlation,
@@ -55,7 +55,7 @@ class Estimates(NamedTuple):
     correlation: Correlation
     chances: Chances
     view: View
-    memory: Memory
+    memory: DetectionMemory
     sample_period: Estimate
     notes: tuple[str, ...]
 

@@ -16,7 +16,7 @@ from . import threads
 from .memory_layout import scratch
 from .preparation import clocks, constants, events, robot, sensor, traffic
 from .stages.conclude import add_step
-from .state import State
+from .state import BatchState
 from .step import StepStages
 from .thread_tuner import ThreadTuner
 from .threads import Calls, Slice
@@ -96,7 +96,7 @@ class _ControlledSteps(NamedTuple):
     """Consecutive steps of a batch under a controller."""
 
     controller: BatchController
-    state: State
+    state: BatchState
     actions: NDArray[np.float32]
     output: StepOutput
     resting: NDArray[np.bool_]  # (B,), environments that do not take part
@@ -146,7 +146,7 @@ class BatchRunner:
     None is one thread per core. Episodes end after ``max_steps``.
     """
 
-    def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
+    def __init__(self, state: BatchState, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
         self._state, self._num_threads = state, num_threads
         rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)

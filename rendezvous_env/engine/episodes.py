@@ -1,4 +1,4 @@
-"""Episodes: seed, episode number and initial condition of each environment."""
+"""Reset of episodes: seed, episode number and initial condition of each environment."""
 
 import math
 from collections.abc import Callable
@@ -21,13 +21,13 @@ from .edge_tables import as_kept
 from .memory import AWAITING_RESET, RUNNING, Robot
 from .memory_layout import Scratch
 from .preparation import StartRules, fixed_links, fixed_obstacles, start_rules
-from .state import State
+from .state import BatchState
 
 
-class Episodes:
+class EpisodeReset:
     """Initialises the episodes of B environments."""
 
-    def __init__(self, state: State, robot: Robot, scratch: Scratch) -> None:
+    def __init__(self, state: BatchState, robot: Robot, scratch: Scratch) -> None:
         self._state, self._robot, self._scratch = state, robot, scratch
         self._rules = start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots

@@ -52,7 +52,7 @@ class MemoryLayout:
         self.packed = self.sparse or layout.neighbour_slots != n - 1
         self.only_balls = parsing.only_balls(scenario.obstacles)
         self.moving = moves(scenario.obstacles)
-        self.n_obstacles, self.points = scenario.obstacle_places, layout.silhouette_points
+        self.n_obstacles, self.points = scenario.obstacle_places, layout.rows_per_obstacle
         self.discs = self.n_obstacles if d == 2 and not self.indexed else 0
         self.fields = d + d * d + scenario.model.memory_size(d)
         """Numbers per robot: position, frame, memory."""

@@ -33,7 +33,7 @@ from ..sensors.effects import Effects, Redraws, effects_of, kept_share, redraws_
 from ..sensors.imperfections import Imperfections, Views, imperfections_of, views_of
 from .edge_tables import LinkList
 from .memory import Robot
-from .state import State
+from .state import BatchState
 
 
 class Constants(NamedTuple):
@@ -95,7 +95,7 @@ def speed_limits_of(robot: Robot) -> NDArray[np.float64]:
     return np.asarray(robot.limits[:, column])
 
 
-def sensor(state: State) -> Sensor | None:
+def sensor(state: BatchState) -> Sensor | None:
     """Sensor of a scenario's robots; None if it is exact."""
     scenario, place = state.scenario, state.place
     sensing, tau = scenario.sensing, scenario.tau

@@ -40,7 +40,7 @@ _FAILURES = ("crashed", "crash"), ("adversarial", "adversary"), ("blind", "blind
 """Infos key and kind of the events of robots."""
 
 
-class State:
+class BatchState:
     """State of B environments of one scenario."""
 
     def __init__(self, place: MemoryLayout) -> None:

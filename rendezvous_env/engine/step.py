@@ -88,20 +88,20 @@ from .stages.sense_obstacles import (
     sense_shapes,
 )
 from .stages.write_observations import sense_oneself, write_observations, write_packed
-from .state import State
+from .state import BatchState
 
 _LARGEST = np.finfo(np.float32).max
 Call = Callable[[], Any]
 
 
-class _Late(NamedTuple):
+class _Placeholder(NamedTuple):
     """Trailing argument of a stage that changes in each step."""
 
     place: int  # index among outputs, actions and rows
 
 
-_OUTPUT: Any = StepOutput(*map(cast(Any, _Late), range(len(StepOutput._fields))))
-_ACTIONS, _ROWS = _Late(len(_OUTPUT)), _Late(len(_OUTPUT) + 1)
+_OUTPUT: Any = StepOutput(*map(cast(Any, _Placeholder), range(len(StepOutput._fields))))
+_ACTIONS, _ROWS = _Placeholder(len(_OUTPUT)), _Placeholder(len(_OUTPUT) + 1)
 
 
 class StepStages:
@@ -109,7 +109,7 @@ class StepStages:
 
     def __init__(
         self,
-        state: State,
+        state: BatchState,
         robot: Robot,
         constants: Constants,
         sensor: Sensor | None,
@@ -173,7 +173,7 @@ class StepStages:
         Also the function that selects these from those ``given`` in a step. A missing kernel is
         compiled.
         """
-        late: list[Any] = [one.place for one in arguments if isinstance(one, _Late)]
+        late: list[Any] = [one.place for one in arguments if isinstance(one, _Placeholder)]
         fixed = arguments[: len(arguments) - len(late)]
         if (entry := self._entries.get(kernel)) is None:
             found = (*fixed, *(_writable(given[place]) for place in late))

@@ -9,6 +9,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, raise_invalid, short_repr
+from ..deprecation import renamed_arguments
 from ..engine.step import first_not_finite
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
@@ -76,20 +77,21 @@ class BaseParallelEnv(
     _left_out: tuple[str, ...] = ("robot_rewards",)
     """Infos of the vector environment that agents do not receive."""
 
-    def __init__(self, teams: Any) -> None:
-        self._hold(teams)
+    @renamed_arguments(teams="vector_env")
+    def __init__(self, vector_env: Any) -> None:
+        self._hold(vector_env)
         self.possible_agents = names_of(self.scenario.n_robots)
         self.agents: list[str] = []
-        sees: Any = teams.single_observation_space
-        does: Any = teams.single_action_space
+        sees: Any = vector_env.single_observation_space
+        does: Any = vector_env.single_action_space
         robots = dict(enumerate(self.possible_agents))
         self.observation_spaces = {name: of_one_robot(sees, i) for i, name in robots.items()}
-        parts = self._parts = component_mask(teams)
+        parts = self._parts = component_mask(vector_env)
         self.action_spaces = {
             name: of_one_robot(does, i, None if parts is None else parts[i])
             for i, name in robots.items()
         }
-        self.state_space = teams.unwrapped.single_state_space
+        self.state_space = vector_env.unwrapped.single_state_space
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

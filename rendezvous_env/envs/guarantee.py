@@ -53,10 +53,10 @@ def layers_of(env: Any) -> Iterator[Any]:
         env = getattr(env, "aec_env", None) if beneath is None else beneath
 
 
-def component_mask(teams: Any) -> NDArray[np.bool_] | None:
+def component_mask(env: Any) -> NDArray[np.bool_] | None:
     """True for action components that a robot has, (n, a), under a filter too; None if all are."""
-    masks = [layer.action_mask for layer in layers_of(teams) if hasattr(layer, "action_mask")]
-    own: NDArray[np.bool_] | None = masks[0] if masks else teams.unwrapped.scenario.action_mask
+    masks = [layer.action_mask for layer in layers_of(env) if hasattr(layer, "action_mask")]
+    own: NDArray[np.bool_] | None = masks[0] if masks else env.unwrapped.scenario.action_mask
     return None if own is None or own.all() else own
 
 
@@ -129,7 +129,7 @@ class FilterWrapperMixin:
         )
         """True if wrappers beneath may change nothing that passes through them."""
         if self._checks_passage:
-            self._teams_of(base).records_passage = True
+            self._vector_env_of(base).records_passage = True
         super().__init__(env)  # type: ignore[call-arg]  # the wrapper of the API
         robot = observation_box(scenario, base.flatten, made)
         self._make_spaces(robot, choice_box(made))
@@ -168,7 +168,7 @@ class FilterWrapperMixin:
         raise NotImplementedError
 
     @staticmethod
-    def _teams_of(base: Any) -> Any:
+    def _vector_env_of(base: Any) -> Any:
         """The vector environment through which everything passes."""
         raise NotImplementedError
 
@@ -178,7 +178,7 @@ class FilterWrapperMixin:
         """Refuse wrappers beneath that have changed the actions (B, n, a) of the robots ``who``, an
         index, or the observations (B, n, rows, d) that passed through them.
         """
-        taken, seen = self._teams_of(self._base).passage
+        taken, seen = self._vector_env_of(self._base).passage
         what = []
         if actions is not None and not np.array_equal(taken[who], actions[who]):
             what.append("actions")

@@ -165,7 +165,7 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
         if self._is_over(actions):
             return {}, {}, {}, {}, {}
         simulator, alive = self.simulator, self.agents
-        outcome = self.teams.advance(table_of(actions, alive, simulator))
+        outcome = self.vector_env.advance(table_of(actions, alive, simulator))
         status, statistics = outcome.status.item(0), simulator.first_episode_statistics(outcome)
         over, met = status != RUNNING, status == RENDEZVOUS
         table = maybe_flatten(outcome.observations[0], self.flatten)

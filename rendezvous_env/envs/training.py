@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, flag, number, raise_invalid, to_float
-from ..deprecation import renamed_arguments, renamed_attribute
+from ..deprecation import renamed_arguments, renamed_attribute, warn_renamed
 from ..engine.state_checks import check_entries, check_keys
 from ..rewards.terms import RewardWeights
 from ..safety.safety_filter import FILTERS
@@ -71,7 +71,7 @@ def training_env(
     max_cycles: int | None = None,
     contact_penalty: float | None = None,
     **overrides: Any,
-) -> TrainingTeams:
+) -> TrainingVectorEnv:
     """Create B environments for a generic learner, as a Gymnasium vector environment.
 
     Merged robots remain until the end with zero observations, ineffective actions and the team
@@ -140,16 +140,16 @@ def training_env(
             "False: the shipped policy's choices are for robots but double integrators with "
             "learning_preset True and guarantee 'heading' or 'tank'",
         )
-    teams: Any = make_vec(
+    env: Any = make_vec(
         chosen, num_envs, autoreset_mode, num_threads, max_cycles, render_mode, flatten
     )
     if guarantee is not None:
         if preset is not None and shown:
-            teams = preset.wrap(teams, guarantee, discrete, arguments)
+            env = preset.wrap(env, guarantee, discrete, arguments)
         elif guarantee in WRAPPERS:
-            teams = WRAPPERS[guarantee](teams, **arguments)
+            env = WRAPPERS[guarantee](env, **arguments)
         else:
-            teams = GuaranteeWrapper(teams, guarantee, **arguments)
+            env = GuaranteeWrapper(env, guarantee, **arguments)
     if contact_penalty is not None:
         price = number("contact_penalty", contact_penalty)
     _say_what_is_not_covered(chosen, guarantee, arguments)  # after all errors
@@ -157,7 +157,7 @@ def training_env(
         _logged.add((chosen.reward, price))
         reward = chosen.reward.to_plain()
         _LOGGER.info("training_env: reward in use: %s, contact_penalty %g", reward, price)
-    return TrainingTeams(teams, price)
+    return TrainingVectorEnv(env, price)
 
 
 def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardWeights:
@@ -200,7 +200,7 @@ def _say_what_is_not_covered(
         _LOGGER.warning(words, guarantee, scenario.name, "; ".join(lacks))
 
 
-class TrainingTeams(gymnasium.vector.VectorWrapper):
+class TrainingVectorEnv(gymnasium.vector.VectorWrapper):
     """B environments whose robots all act and earn until the episode ends; see ``training_env``.
 
     ``infos["robot_rewards"]``, (B, n), are robot rewards, minus ``contact_penalty`` in the step of
@@ -210,28 +210,29 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     keys in every step. ``final_obs`` and ``final_info`` occur only with SAME_STEP.
 
     Args:
-        teams: vector environment whose scenario has ``on_merge="follow"``.
+        env: vector environment whose scenario has ``on_merge="follow"``.
         contact_penalty: subtracted from ``robot_rewards``, once per episode.
     """
 
     env: RendezvousVectorEnv | GuaranteeWrapper
 
     touch_penalty = renamed_attribute("touch_penalty", "contact_penalty")
+    teams = renamed_attribute("teams", "unwrapped")
 
-    @renamed_arguments(touch_penalty="contact_penalty")
+    @renamed_arguments(teams="env", touch_penalty="contact_penalty")
     def __init__(
-        self, teams: RendezvousVectorEnv | GuaranteeWrapper, contact_penalty: float = 0.0
+        self, env: RendezvousVectorEnv | GuaranteeWrapper, contact_penalty: float = 0.0
     ) -> None:
-        super().__init__(teams)
-        base = teams.unwrapped
+        super().__init__(env)
+        base = env.unwrapped
         assert isinstance(base, RendezvousVectorEnv)
-        self.teams, self.simulator, self.scenario = base, base.simulator, base.scenario
+        self._base, self.simulator, self.scenario = base, base.simulator, base.scenario
         self.autoreset_mode = base.autoreset_mode
-        self.layout: Any = getattr(teams, "layout", self.scenario.observation_layout)
+        self.layout: Any = getattr(env, "layout", self.scenario.observation_layout)
         """Layout that splits observations (``split``): of the scenario, or of ``Features``.
         Remove the last row, which ``observe_level`` adds, first."""
         self.contact_penalty = contact_penalty
-        self._touched = np.zeros((teams.num_envs, self.scenario.n_robots), dtype=np.bool_)
+        self._touched = np.zeros((env.num_envs, self.scenario.n_robots), dtype=np.bool_)
 
     def reset(
         self,
@@ -268,7 +269,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
 
     def state(self) -> NDArray[np.float32]:
         """As ``RendezvousVectorEnv.state``."""
-        return self.teams.state()
+        return self._base.state()
 
     def get_state(self) -> dict[str, Any]:
         """Copies of the running episodes and all memory."""
@@ -301,3 +302,11 @@ def charge_first_contacts(
         return rewards
     infos["robot_rewards"] -= price * first
     return rewards - price * first.mean(axis=1)
+
+
+def __getattr__(name: str) -> Any:
+    """Former names."""
+    if name == "TrainingTeams":
+        warn_renamed(name, "TrainingVectorEnv")
+        return TrainingVectorEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,7 +14,7 @@ from ..checks import check_action, check_int
 from ..scenario.scenarios import ScenarioLike
 from .agents import BaseParallelEnv, StepReturn, check_robots
 from .training import training_env as vector_training_env
-from .vector_env import ONE_TEAM, check_one_team
+from .vector_env import SINGLE_ENV, check_single_env
 
 
 def training_env(
@@ -31,17 +31,17 @@ def training_env(
     ``rendezvous_env.vector.training_env`` with B = 1, by name. Its docstring has all arguments,
     errors, and what robots see, do and earn. A ValueError for more than one team (``num_envs``).
     """
-    check_one_team(overrides, "rendezvous_env.vector.training_env")
-    teams = vector_training_env(
+    check_single_env(overrides, "rendezvous_env.vector.training_env")
+    vector_env = vector_training_env(
         scenario,
         guarantee=guarantee,
         learning_preset=learning_preset,
         flatten=flatten,
         discrete=discrete,
         render_mode=render_mode,
-        **ONE_TEAM | overrides,
+        **SINGLE_ENV | overrides,
     )
-    return TrainingParallelEnv(teams)
+    return TrainingParallelEnv(vector_env)
 
 
 class TrainingParallelEnv(
@@ -55,7 +55,7 @@ class TrainingParallelEnv(
     ``contact`` and costs cover the whole decision.
 
     Args:
-        teams: ``TrainingTeams`` of one team, with ``AutoresetMode.DISABLED``.
+        vector_env: ``TrainingVectorEnv`` with B = 1 and ``AutoresetMode.DISABLED``.
     """
 
     metadata = BaseParallelEnv.metadata | {"name": "rendezvous_training_v0"}
@@ -81,7 +81,7 @@ class TrainingParallelEnv(
             size = self._parts.shape[1]
             listed = [np.pad(action, (0, size - len(action))) for action in listed]
         table = np.stack(listed)[None]
-        observations, _, ends, cuts, infos = self.teams.step(table)
+        observations, _, ends, cuts, infos = self.vector_env.step(table)
         over, cut = bool(ends[0]), bool(cuts[0])
         if over or cut:
             self.agents = []

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from ..checks import bools, flag, is_int, short_repr
+from ..deprecation import renamed_attribute
 from ..engine.batch_runner import BatchController, ObservationCallback, RolloutResult
 from ..engine.memory import TIME_OUT
 from ..outcome import StepOutput
@@ -40,14 +41,14 @@ Transition = tuple[
 _DISABLED = AutoresetMode.DISABLED
 _IN_SUMMARY = (*STANDING, *(f"_{key}" for key in STANDING))
 _of_summary = itemgetter(*_IN_SUMMARY)
-ONE_TEAM: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
+SINGLE_ENV: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
 """Arguments of a vector environment that ``SingleEnvMixin`` holds."""
 
 
 class RendezvousVectorEnv(
     PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]
 ):
-    """B teams of n robots that see only directions and must all meet.
+    """B environments of n robots that measure only directions and must all meet.
 
     What a robot does, sees and earns is specified in ``RendezvousParallelEnv``; here it stands in
     arrays, freshly allocated in every step.
@@ -55,13 +56,13 @@ class RendezvousVectorEnv(
     | array | shape | |
     |---|---|---|
     | observations | (B, n, rows, d) float32, or (B, n, rows·d) | zero for robots that are gone |
-    | actions | (B, n, a) float32 | ignored for robots that are gone and teams that have ended |
+    | actions | (B, n, a) float32 | ignored for inactive robots and ended environments |
     | rewards | (B,) float64 | of the team; bounds as in ``rendezvous_v0`` |
     | terminations | (B,) bool | all robots have met |
     | truncations | (B,) bool | the time limit |
 
-    Infos are those of ``RendezvousParallelEnv`` as arrays, (B,) of teams, (B, n) of robots, each
-    with its mask ``_key`` (B,); ``summary`` is a dict of arrays. Two more:
+    Infos are those of ``RendezvousParallelEnv`` as arrays, (B,) of environments, (B, n) of robots,
+    each with its mask ``_key`` (B,); ``summary`` is a dict of arrays. Two more:
 
     | key | shape | |
     |---|---|---|
@@ -74,14 +75,14 @@ class RendezvousVectorEnv(
     * SAME_STEP: is reset at once; ``final_obs`` and ``final_info`` keep how it ended;
     * DISABLED: stands still and earns nothing until ``reset(options={"reset_mask": (B,) bool})``.
 
-    Every end is reported once, in the step that brings it: in later steps of a team that stands
-    still ``terminations`` and ``truncations`` are False, so that recorders of episodes count it
-    once. ``simulator.ended`` and ``infos["success"]`` say how such a team stands.
+    Every end is reported once, in the step that brings it: in later steps of an ended environment
+    ``terminations`` and ``truncations`` are False, so that recorders of episodes count it once.
+    ``simulator.ended`` and ``infos["success"]`` give its final state.
 
-    ``reset(seed=s)`` gives team i the seed s + i, a list gives each its own; without a seed every
-    team goes on to the next episode of its own. Options as in ``RendezvousParallelEnv``, one for
-    all teams or, but for obstacles, with a leading axis B. ``simulator`` holds the global state for
-    analysis.
+    ``reset(seed=s)`` gives environment i the seed s + i, a list gives each its own; without a seed
+    every environment continues with its next episode. Options as in ``RendezvousParallelEnv``, one
+    for all environments or, but for obstacles, with a leading axis B. ``simulator`` holds the
+    global state for analysis.
 
     ``render()`` in "rgb_array" mode returns one image per environment, as Gymnasium's
     ``RecordVideo`` for vector environments expects. They are tiles of one image (600, 600, 3) uint8
@@ -278,12 +279,12 @@ class RendezvousVectorEnv(
         self.renderer.close()
 
 
-def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
-    """Refuse more teams than one with a ValueError that names the vector form."""
-    teams = arguments.get("num_envs", 1)
-    if not (is_int(teams) and teams == 1):
+def check_single_env(arguments: Mapping[str, Any], vector_form: str) -> None:
+    """Refuse several environments with a ValueError that names the vector form."""
+    count = arguments.get("num_envs", 1)
+    if not (is_int(count) and count == 1):
         raise ValueError(
-            f"num_envs is {short_repr(teams)}; it must be 1, with {_DISABLED}: for more take "
+            f"num_envs is {short_repr(count)}; it must be 1, with {_DISABLED}: for more take "
             f"{vector_form}"
         )
 
@@ -291,7 +292,8 @@ def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
 class SingleEnvMixin:
     """Mixin that exposes a vector environment with B = 1, wrapped or not, as one environment."""
 
-    teams: Any
+    vector_env: Any
+    teams = renamed_attribute("teams", "vector_env")
     simulator: Simulator
     """The global state, B = 1, for analysis."""
     scenario: Scenario
@@ -301,24 +303,24 @@ class SingleEnvMixin:
     _np_random: np.random.Generator | None = None
     _np_random_seed: int | None = None
 
-    def _hold(self, teams: Any) -> None:
-        mode = teams.metadata.get("autoreset_mode")
-        if teams.num_envs != 1 or mode is not _DISABLED:
+    def _hold(self, vector_env: Any) -> None:
+        mode = vector_env.metadata.get("autoreset_mode")
+        if vector_env.num_envs != 1 or mode is not _DISABLED:
             raise ValueError(
-                f"num_envs is {teams.num_envs} and autoreset_mode {mode}; they must be 1 and "
+                f"num_envs is {vector_env.num_envs} and autoreset_mode {mode}; they must be 1 and "
                 f"{_DISABLED}"
             )
-        self.teams, base = teams, teams.unwrapped
+        self.vector_env, base = vector_env, vector_env.unwrapped
         self.simulator, self.scenario = base.simulator, base.scenario
         self.renderer, self.render_mode = base.renderer, base.render_mode
-        own = {key: value for key, value in teams.metadata.items() if key != "autoreset_mode"}
+        own = {key: value for key, value in vector_env.metadata.items() if key != "autoreset_mode"}
         self.metadata = self.metadata | own
 
     def _reset(self, seed: Any, options: Any) -> tuple[NDArray[np.float32], Info]:
         """Start an episode; a reset mask is not an option here."""
         start = as_options(options)
         start.pop("reset_mask", None)
-        begun = self.teams.reset(seed=seed, options=start)
+        begun = self.vector_env.reset(seed=seed, options=start)
         self._note_seed(anew=seed is not None)
         return begun
 
@@ -334,11 +336,11 @@ class SingleEnvMixin:
         Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
         (M·width), and the elapsed fraction of the time limit.
         """
-        return self.teams.state()[0]
+        return self.vector_env.state()[0]
 
     def get_state(self) -> dict[str, Any]:
         """Copies of the running episode and all memory, for ``set_state``."""
-        return self.teams.get_state()
+        return self.vector_env.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore a state of ``get_state``.
@@ -346,7 +348,7 @@ class SingleEnvMixin:
         Raises:
             ValueError: naming an entry that does not fit; the state is unchanged.
         """
-        self.teams.set_state(state)
+        self.vector_env.set_state(state)
         if self.simulator.begun:
             self._note_seed(anew=False)
 
@@ -365,7 +367,7 @@ class SingleEnvMixin:
 def add_final_info(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
-    """Add to infos how these teams ended, if they are reset at once: their last observations and
+    """Add to infos how environments ended, if they are reset at once: their last observations and
     infos, ``final_obs`` and ``final_info``; whether they are.
     """
     if mode is not AutoresetMode.SAME_STEP or not ended.any():
@@ -428,8 +430,8 @@ def _names_of_masks(keys: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"_{key}" for key in keys)
 
 
-def of_first_team(told: Any) -> Any:
+def of_first_env(told: Any) -> Any:
     """Infos of environment 0 without the batch axis and masks."""
     if isinstance(told, dict):
-        return {key: of_first_team(values) for key, values in told.items() if key[0] != "_"}
+        return {key: of_first_env(values) for key, values in told.items() if key[0] != "_"}
     return told[0] if told.ndim > 1 else told[0].item()

@@ -62,7 +62,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         return layer.single_observation_space, layer.single_action_space
 
     @staticmethod
-    def _teams_of(base: RendezvousVectorEnv) -> RendezvousVectorEnv:
+    def _vector_env_of(base: RendezvousVectorEnv) -> RendezvousVectorEnv:
         return base
 
     def _make_spaces(self, observations: Box, choices: Box) -> None:

@@ -59,8 +59,8 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
         ]
 
     @staticmethod
-    def _teams_of(base: RendezvousParallelEnv) -> RendezvousVectorEnv:
-        return base.teams
+    def _vector_env_of(base: RendezvousParallelEnv) -> RendezvousVectorEnv:
+        return base.vector_env
 
     def _make_spaces(self, observations: Box, choices: Box) -> None:
         metadata, names = self._base.metadata, self._base.possible_agents
@@ -114,7 +114,9 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
             if self._checks_passage:
                 self._check_passage(table[None], self._observed, acting)
             if self.filter.uses_feedback:
-                touched = self._base.teams.outcome.contact  # a wrapper between may tell another
+                touched = (
+                    self._base.vector_env.outcome.contact
+                )  # a wrapper between may tell another
                 self.filter.update(touched, simulator.copy_of_merged())
             self._add_told(told)
             for name, info in told.items():

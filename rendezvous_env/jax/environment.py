@@ -30,16 +30,16 @@ from ..scenario.start_options import seeds_of_environments
 from ..sensors.imperfections import imperfections_of
 from .arrays.array_form import Array, array_form, norm_of
 from .arrays.selection import divided
-from .arrays.some_teams import for_teams
+from .arrays.some_envs import for_envs
 from .coverage import check_covered, raise_not_covered
 from .filters.heading import Heading
 from .filters.tank import Tank
-from .imperfections import Sensor, delayed
-from .merging import Merging, Moving
+from .imperfections import SensorModel, delayed
+from .initial_conditions import InitialConditionSampler
+from .merging import MergeArrays, Merging
 from .obstacles.contact import ObstacleContact
 from .obstacles.fields import Fields
 from .sensing import clearances, lyapunov, sense, sense_obstacles
-from .starts import Starts
 
 Info = dict[str, Array]
 
@@ -131,9 +131,9 @@ class RendezvousJaxEnv:
         self._motion = {name: array_form(getattr(motion, name)) for name in _EQUATIONS}
         has_obstacles = scenario.observation_layout.obstacle_slots > 0
         self._fields = Fields(scenario, self._dtype) if has_obstacles else None
-        self._starts = Starts(scenario, self._fields, self._dtype)
+        self._starts = InitialConditionSampler(scenario, self._fields, self._dtype)
         exact = imperfections_of(scenario.sensing) is None
-        self._sensor = None if exact else Sensor(scenario)
+        self._sensor = None if exact else SensorModel(scenario)
         radius, reach = scenario.merge_radius, self._model.speed_limit * scenario.tau
         self._reach = ((radius + 2.0 * reach) * _ROUNDING) ** 2
         one_way = scenario.sensing_graph.directed
@@ -387,12 +387,12 @@ class RendezvousJaxEnv:
             way = tuple(ways[:, k] for k in range(ways.shape[1]))
             length = jnp.where(contact, norm_of(way), length)
             met = jnp.where(contact, self._contact.outcome, FREE)
-        moving = Moving(
+        moving = MergeArrays(
             state.positions, ways, length, state.weights, state.merged_into, state.obstacles
         )
         near = (state.status == RUNNING) & (state.closest < self._reach)
         free = moving._replace(positions=moving.positions + moving.displacements, obstacles=())
-        moved = for_teams(near, self._merge, moving, free, self.differentiable)
+        moved = for_envs(near, self._merge, moving, free, self.differentiable)
         if kept:
             after = self._motion["update"](self._model, inputs, frame, kept, way, met)
             runs = state.status == RUNNING
@@ -427,7 +427,7 @@ class RendezvousJaxEnv:
             return (after.lyapunov, self._closeness(after)), new, {"final_obs": rows}
 
         otherwise = (zero, zero), team, seen
-        last, team, seen = for_teams(ended, renew, state, otherwise, self.differentiable)
+        last, team, seen = for_envs(ended, renew, state, otherwise, self.differentiable)
         state = state.replace(
             **team,
             merged_into=jnp.where(ended, self._robots, state.merged_into),

@@ -15,7 +15,7 @@ _DISTANCE = 2.6  # of the eye from the middle of a scene, in diagonals of its bo
 _LEAST_SHARE = 0.02
 
 
-class Area(NamedTuple):
+class PixelArea(NamedTuple):
     """A rectangle of pixels."""
 
     left: int
@@ -29,14 +29,14 @@ def columns_of(count: int) -> int:
     return math.ceil(math.sqrt(count))
 
 
-def cell(team: int, count: int, width: int, height: int) -> Area:
+def cell(team: int, count: int, width: int, height: int) -> PixelArea:
     """Area of one environment in a grid picture of the given size, pixels."""
     columns = columns_of(count)
     rows = math.ceil(count / columns)
     row, column = divmod(team, columns)
     left, right = (place * width // columns for place in (column, column + 1))
     top, bottom = (place * height // rows for place in (row, row + 1))
-    return Area(left, top, right - left, bottom - top)
+    return PixelArea(left, top, right - left, bottom - top)
 
 
 class Camera(NamedTuple):
@@ -93,7 +93,7 @@ class Camera(NamedTuple):
         return np.asarray(inside.any(axis=-1))
 
 
-def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Camera:
+def fit(positions: Floats, obstacles: Floats, area: PixelArea, margin: float) -> Camera:
     """View that fits initial positions (n, d), m, and obstacles (M, width) into an area.
 
     Pixels count from the top left corner of the area, with a margin on each side.

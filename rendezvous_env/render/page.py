@@ -9,7 +9,7 @@ import pygame
 from ..engine.memory import RENDEZVOUS
 from ..simulator import Simulator
 from . import ink
-from .camera import Area, Camera, cell, columns_of, nice_step
+from .camera import Camera, PixelArea, cell, columns_of, nice_step
 from .history import History
 from .palette import OBSTACLE_EDGE, ROBOTS, mixed
 from .picture import TeamPicture
@@ -83,7 +83,7 @@ class Page:
         unit = self._unit * (max(0.5, 1.4 / columns_of(count)) if count > 1 else 1.0)
         below = round(_STRIP * self._unit) if count == 1 else 0
         above = round((_HEADER + _LEGEND if count == 1 else _CAPTION) * self._unit)
-        area = Area(left, top + above, width, height - above - below)
+        area = PixelArea(left, top + above, width, height - above - below)
         return TeamPicture(self._simulator.scenario, history, area, unit, camera)
 
     def _draw_header(self, history: History, policy: str) -> None:

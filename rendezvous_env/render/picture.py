@@ -9,7 +9,7 @@ from ..obstacles.moving import moving_slots
 from ..obstacles.obstacle_set import outlines
 from ..scenario.scenario import Scenario
 from . import ink
-from .camera import Area, Camera, fit, nice_step
+from .camera import Camera, PixelArea, fit, nice_step
 from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, mixed, robot_colour
 from .scene import Bools, Floats, ended, facing, sights
@@ -39,7 +39,7 @@ class TeamPicture:
         self,
         scenario: Scenario,
         history: History,
-        area: Area,
+        area: PixelArea,
         unit: float,
         camera: Camera | None = None,
     ) -> None:

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import floats
+from ..deprecation import renamed_attribute
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 
-SILHOUETTE_POINTS = {2: 2, 3: 8}
+ROWS_PER_OBSTACLE = {2: 2, 3: 8}
 """Rows per obstacle by dimension: both edges in the plane, eight boundary rays of its cone in
 3-D."""
 _TYPES = (np.dtype(np.float32), np.dtype(np.float64))  # of numbers that compiled policies take
@@ -51,10 +52,12 @@ class ObservationLayout:
 
     __repr__ = repr_of_changes
 
+    silhouette_points = renamed_attribute("silhouette_points", "rows_per_obstacle")
+
     @property
-    def silhouette_points(self) -> int:
+    def rows_per_obstacle(self) -> int:
         """S, number of rows per obstacle."""
-        return SILHOUETTE_POINTS[self.dim]
+        return ROWS_PER_OBSTACLE[self.dim]
 
     @property
     def neighbours(self) -> slice:
@@ -65,7 +68,7 @@ class ObservationLayout:
     def obstacles(self) -> slice:
         """Slice of the obstacle rows, which reshape to (M, S, d)."""
         start = self.neighbour_slots
-        return slice(start, start + self.obstacle_slots * self.silhouette_points)
+        return slice(start, start + self.obstacle_slots * self.rows_per_obstacle)
 
     @property
     def gravity(self) -> slice:
@@ -99,7 +102,7 @@ class ObservationLayout:
         """
         observations = self.checked(self.unflattened(observations))
         leading = observations.shape[:-2]
-        points = (self.obstacle_slots, self.silhouette_points, self.dim)
+        points = (self.obstacle_slots, self.rows_per_obstacle, self.dim)
         return ObservedRows(
             neighbours=observations[..., self.neighbours, :],
             obstacles=observations[..., self.obstacles, :].reshape(*leading, *points),

@@ -331,7 +331,7 @@ _NAME = re.compile(rf"(?:{NAMESPACE}/)?(?P<plain>.+?)(?P<version>-v\d+)?")
 
 @cache
 def digests() -> dict[str, str]:
-    """Digests of the first initial conditions (``first_starts.digest``) by name and version.
+    """Digests of the first initial conditions by name and version.
 
     The number of entries is the version of a scenario; a changed digest requires a new version.
     """

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from parameters import slow
 
-from baselines.obstacle_rules.merged_silhouettes_2d import TWO_PI, counter_clockwise
+from baselines.obstacle_rules.merged_intervals_2d import TWO_PI, counter_clockwise
 from train import cli, interrupts
 from train.compare.out_folder import RUN, part_of
 from train.report.input import read
@@ -158,7 +158,7 @@ def files(folder):
 
 
 def comparison(out, seed):
-    names = ["--scenarios", "duo", "clutter-4", "--policies", "bearing-only", "tangent-joined"]
+    names = ["--scenarios", "duo", "clutter-4", "--policies", "bearing-only", "tangent-merged"]
     numbers = ["--episodes", "20", "--keep", "2", "--seed", str(seed)]
     return ["compare", *names, *numbers, "--out", str(out)]
 

@@ -27,10 +27,10 @@ from rendezvous_env.trajectory import run
 from train import cli, policies, standalone
 from train.standalone.bundle import Bundle, Name
 
-POLICIES = ["learned", "learned-tank", "tangent-joined-tuned", "tangent-joined", "bearing-only"]
+POLICIES = ["learned", "learned-tank", "tangent-merged-tuned", "tangent-merged", "bearing-only"]
 CLUTTER = rv.scenarios.get("clutter-12")
 SPACE = [("learned-tank", name) for name in ("clutter-3d-32", "window-3d", "uav-clutter-16")]
-SPACE += [("tangent-joined-tuned", "uav-clutter-16")]
+SPACE += [("tangent-merged-tuned", "uav-clutter-16")]
 LONG = [*SPACE, *product(POLICIES, ["trap"])]
 LONG += product(["learned-tank", "bearing-only"], ["robotarium-10"])
 LONG += [(name, "utias-5-clutter") for name in ("search-and-pursue", "learned-search")]
@@ -148,7 +148,7 @@ NOT_OF_ONE_ROBOT = {
     ("policy", "name"),
     [
         ("bearing-only", "clutter-12"),
-        ("tangent-joined", "clutter-12"),
+        ("tangent-merged", "clutter-12"),
         ("learned-tank", "unicycle-6"),
         ("learned", "unicycle-clutter-8"),
         ("learned-tank", "uav-clutter-16"),
@@ -396,7 +396,7 @@ except ValueError as error:
     [
         (["--standalone", "robot.txt"], "--standalone robot.txt: unknown ending; it must be .py"),
         (["--standalone", "x.py", "--checks", "0"], "--checks is 0; it must be 1 or more"),
-        (["--standalone", "x.py", "--policy", "tank-joined"], "is one of the rules under an ene"),
+        (["--standalone", "x.py", "--policy", "tank-merged"], "is one of the rules under an ene"),
         (["--standalone", "x.py", "--policy", "learnt"], "did you mean 'learned'?"),
         (["--standalone", "x.py", "--scenario", "cluter-8"], "did you mean 'clutter-8'?"),
         (["--standalone", "x.py", "--scenario", "double.toml"], "a RobotPolicy steers single"),
@@ -428,9 +428,9 @@ def test_unsupported_policy_is_one_line_error(words, message, one_line, tmp_path
 def test_older_standalone_file_is_overwritten(exported, tmp_path):
     path = tmp_path / "robot.py"
     path.write_bytes(exported("bearing-only").read_bytes().replace(b"rendezvous-env ", b"old "))
-    words = ["--policy", "tangent-joined", "--standalone", str(path), "--checks", "20"]
+    words = ["--policy", "tangent-merged", "--standalone", str(path), "--checks", "20"]
     assert cli.main(["export", *words]) == 0
-    assert path.read_text(encoding="utf-8").startswith('"""The policy \'tangent-joined\'')
+    assert path.read_text(encoding="utf-8").startswith('"""The policy \'tangent-merged\'')
 
 
 def test_standalone_file_handles_any_scenario_name(tmp_path):

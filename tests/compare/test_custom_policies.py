@@ -306,7 +306,7 @@ def test_own_policies_have_distinct_colours_and_markers():
     assert len(styles) == 8
     assert len({figures.policy_colour(name, own) for name in own[:7]}) == 7
     known = {
-        figures.policy_colour(n) for n in ("bearing-only", "learned", "tangent-joined", "zero")
+        figures.policy_colour(n) for n in ("bearing-only", "learned", "tangent-merged", "zero")
     }
     assert not known & {figures.policy_colour(name, own) for name in own}
 

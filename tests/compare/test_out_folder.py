@@ -26,7 +26,7 @@ SAME = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectorie
 
 def config(out, **changes):
     given = {
-        "scenarios": ("duo", "clutter-4"), "policies": ("bearing-only", "zero", "tangent-joined"),
+        "scenarios": ("duo", "clutter-4"), "policies": ("bearing-only", "zero", "tangent-merged"),
         "episodes": 3, "keep": 1, "ceiling": 2, "set": ("time_limit=3",), "figures": False,
     }  # fmt: skip
     return compare.Config(**given | {"out": out} | changes)
@@ -79,7 +79,7 @@ class TestGoingOn:
         real, played = playing.play_block, []
         monkeypatch.setattr(playing, "play_block", lambda *job: played.append(job[0]) or real(*job))
         assert compare.run(config(tmp_path / "out")) == 0
-        assert [job.policy for job in played] == ["zero", "tangent-joined"]
+        assert [job.policy for job in played] == ["zero", "tangent-merged"]
         assert {job.scenario.name for job in played} == {"clutter-4-time-limit-3"}
 
     def test_resume_keeps_ceiling(self, tmp_path, monkeypatch, whole):

@@ -32,7 +32,7 @@ def test_first_run_is_merged_interval_rule():
 
     first = upper_bound.randomised(CLUTTER, seed=0, spread=0.0)
     rule = baselines.make(
-        "tangent-joined-tuned", CLUTTER, clearance=first.rule.clearance, persistence=0.0
+        "tangent-merged-tuned", CLUTTER, clearance=first.rule.clearance, persistence=0.0
     )
     done, _ = play(CLUTTER, lambda: rule, margin=0.05, episodes=20, seed=5)
     assert (done.collision_free == found[0].collision_free).mean() >= 0.9

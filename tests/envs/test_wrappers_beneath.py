@@ -400,7 +400,7 @@ def test_films_of_training_forms_play_in_real_time():
         rv.training_env("duo", guarantee="links", decision_period=3),
         make_heading_env("duo", decision_period=7),
     ):
-        period = env.teams.env if hasattr(env, "agents") else getattr(env, "teams", env)
+        period = env.vector_env.env if hasattr(env, "agents") else getattr(env, "vector_env", env)
         period = getattr(period, "decision_period", None) or env.env.decision_period
         expected = 1.0 / (period * env.unwrapped.simulator.scenario.tau)
         assert env.metadata["render_fps"] == pytest.approx(expected, rel=1e-12)

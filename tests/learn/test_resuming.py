@@ -131,17 +131,17 @@ class TestResume:
 
     def test_explicit_default_flag_counts_as_given(self, copied):
         """An explicit default adds three million decisions; otherwise the run is finished."""
-        asked = ppo.Config(resume=copied, total_steps=3_000_000, eval_starts=200, eval_every=0)
+        asked = ppo.Config(resume=copied, total_steps=3_000_000, eval_episodes=200, eval_every=0)
         assert ppo.run(asked, lambda update, metrics: True).steps == 13 * UPDATE
         stored = json.loads((copied / "config.json").read_text())
-        assert (stored["total_steps"], stored["eval_starts"]) == (3_000_000, 200)
-        words = ["--total-steps", "3000000", "--eval-starts", "200"]
+        assert (stored["total_steps"], stored["eval_episodes"]) == (3_000_000, 200)
+        words = ["--total-steps", "3000000", "--eval-episodes", "200"]
         command = tyro.cli(ppo.Config, args=["--resume", str(copied), *words])
         kept = tyro.cli(ppo.Config, args=["--resume", str(copied)])
-        run = ppo.Config(total_steps=UPDATE, eval_starts=4, checkpoint_every=1000)
+        run = ppo.Config(total_steps=UPDATE, eval_episodes=4, checkpoint_every=1000)
         for given, found in ((command, (3_000_000, 200, 1000)), (kept, (UPDATE, 4, 1000))):
             on = settings.resumed(given, run)
-            assert (on.total_steps, on.eval_starts, on.checkpoint_every) == found
+            assert (on.total_steps, on.eval_episodes, on.checkpoint_every) == found
 
     def test_interrupt_before_first_checkpoint_resumes(self, whole, tmp_path, monkeypatch):
         folder = tmp_path / "run"

@@ -56,7 +56,7 @@ class TestTheIssue:
     """A closed room, and a wall of tiles 80 m long."""
 
     @pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
-    @pytest.mark.parametrize("policy", ["bearing-only", "tangent-joined-tuned"])
+    @pytest.mark.parametrize("policy", ["bearing-only", "tangent-merged-tuned"])
     def test_a_robot_in_a_room_without_a_door_is_not_met(self, policy, angle):
         room = turned([Polygon(vertices) for vertices in ROOM], angle)
         scenario = rv.Scenario(
@@ -302,7 +302,7 @@ class TestAgainstShapely:
                     assert found == pytest.approx(wanted, abs=1e-9)
 
     def test_silhouettes_cover_the_angular_extent_of_the_union(self):
-        """As in tangent-joined: ends of the merged intervals."""
+        """As in tangent-merged: ends of the merged intervals."""
         random = np.random.default_rng(1)
         for _ in range(20):
             shapes, union = self.shapes(random)

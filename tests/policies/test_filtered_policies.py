@@ -308,7 +308,7 @@ class TestDicts:
     @pytest.mark.parametrize("flatten", [False, True])
     @pytest.mark.parametrize(
         "name",
-        ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined", "privileged-planner"],
+        ["bearing-only", "tangent-merged-tuned", "learned", "tank-merged", "privileged-planner"],
     )
     def test_policies_accept_pettingzoo_dicts(self, name, flatten):
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=8.0, merge_radius=1.0)

@@ -113,8 +113,8 @@ class TestItPasses:
     @pytest.mark.parametrize(
         ("name", "starts", "fails"),
         [
-            ("trap", 40, "tangent-joined-tuned"), ("clutter-3d-96", 2, ""),
-            *(slow(name, 40, "tangent-joined-tuned")
+            ("trap", 40, "tangent-merged-tuned"), ("clutter-3d-96", 2, ""),
+            *(slow(name, 40, "tangent-merged-tuned")
               for name in ("corridor", "rooms", "clutter-32")),
             slow("clutter-3d-32", 10, ""), slow("slab-3d", 20, "bearing-only"),
             slow("bowl-3d", 10, ""), slow("window-3d", 10, ""), slow("uav-clutter-16", 3, ""),

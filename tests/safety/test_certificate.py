@@ -363,9 +363,9 @@ def test_v_bound_beside_obstacles_excludes_contacts():
         env.step([[[-y, x], [y, -x]]])
     found = certificate(scenario, 0.3)
     assert simulator.lyapunov()[0] > found.lyapunov_bound
-    assert found.touches_obstacles and "m²/s in motion without a contact\n" in str(found)
+    assert found.contact_possible and "m²/s in motion without a contact\n" in str(found)
     through = certificate(scenario.replace(obstacle_contact="ignore"), 0.3)
-    assert not through.touches_obstacles and "without a contact" not in str(through)
+    assert not through.contact_possible and "without a contact" not in str(through)
 
 
 def test_mean_time_under_noise_is_reported():

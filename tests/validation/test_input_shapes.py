@@ -110,7 +110,7 @@ def test_heading_rules_reject_inconsistent_shapes():
     for rule in (
         obstacle_avoidance.tangent_heading,
         obstacle_avoidance.tangent_blocking_heading,
-        obstacle_avoidance.tangent_joined_heading,
+        obstacle_avoidance.tangent_merged_heading,
     ):
         assert rule(f, points).shape == f.shape
         for bearing, silhouettes, message in (

@@ -12,7 +12,7 @@ import test_verify
 
 import rendezvous_env as rv
 from rendezvous_env.sensors.sensing import PER_ROBOT
-from train.verify import adversaries, falsification, random_scenarios, random_starts
+from train.verify import adversaries, falsification, random_initial_conditions, random_scenarios
 from train.verify.falsification import ask, climb, play, repeat, shrink, write
 from train.verify.random_scenarios import CHOICES, Kind, Trial, trials_of
 
@@ -205,7 +205,7 @@ def test_search_improves_initial_conditions(monkeypatch, tmp_path):
     time = max(play(trial()).ratio.values()) * ask(SQUARE, "law", {}).limits["time"]
     promising(monkeypatch, time=time + 0.05)
     assert play(trial()).violation is None
-    monkeypatch.setattr(random_starts, "STRIDES", (0.5, 1.0))
+    monkeypatch.setattr(random_initial_conditions, "STRIDES", (0.5, 1.0))
     better, played = climb(dataclasses.replace(trial(), generations=30))
     assert played.violation.number == "time" and better.scenario != SQUARE
     assert repeat(write(tmp_path, "found", better, played)).violation.number == "time"

@@ -14,7 +14,7 @@ from train.checks import UserError
 from train.results import read_csv
 from train.verify import claims, verify
 from train.verify.claims import BATCH, CLAIMS
-from train.verify.falsification import Played, Tally
+from train.verify.falsification import Tally, TrialResult
 
 NAMES = ("lemma-1", "theorem-2", "necessity")
 """Three tasks each."""
@@ -31,7 +31,7 @@ def nothing_is_played(monkeypatch):
     monkeypatch.setattr(claims, "check", check)
 
     def climb(trial):
-        return trial, Played(steps=trial.seed, counts=Counter([(f"{trial.by}: A", "granted")]))
+        return trial, TrialResult(steps=trial.seed, counts=Counter([(f"{trial.by}: A", "granted")]))
 
     monkeypatch.setattr(verify, "climb", climb)
 

@@ -23,7 +23,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
 from ..checks import user_error
-from ..recording import Recorder, Recording, is_recomputable, state_of
+from ..recording import EpisodeRecorder, Recording, is_recomputable, state_of
 
 CHUNK = 1024
 """Maximum batch size; further initial conditions are simulated in later chunks."""
@@ -80,8 +80,8 @@ class Episodes:
         columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
         free = [None if value != value else int(value) for value in self.collision_free]
         columns["collision_free"] = free
-        for start in range(len(self.success)):
-            yield {"start": start} | {name: values[start] for name, values in columns.items()}
+        for k in range(len(self.success)):
+            yield {"initial_condition": k} | {name: values[k] for name, values in columns.items()}
 
 
 def play(
@@ -122,7 +122,7 @@ def play(
             observations = simulator.reset(seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
         exact = is_recomputable(scenario)
-        recorders = [Recorder(simulator, team, observations, exact) for team in kept]
+        recorders = [EpisodeRecorder(simulator, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in islice(run(simulator, make_policy(), observations), steps):
             aligned, after = meter.see(step), state_of(simulator)

@@ -133,7 +133,7 @@ class Task:
 
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """Tasks of a job, one per block of initial conditions; ``number`` is the job's index."""
-    starts, kept = config.starts(job.scenario), config.kept(job.scenario)
+    starts, kept = config.count(job.scenario), config.kept(job.scenario)
     # external registrations exist in this process only
     has_file = ":" in job.policy and not job.policy.startswith("__main__:")
     stays = policies.kind_of(job.policy) == "own" and not has_file

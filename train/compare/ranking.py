@@ -24,7 +24,7 @@ class Ranking:
     """Ranking of policies on one scenario by collision-free success."""
 
     scenario: str
-    starts: int
+    count: int
     share: dict[str, float]  # collision-free success, 0 to 1; NaN where contacts do not count
     best: str | None  # among policies that are not oracles
     tied: tuple[str, ...]
@@ -59,17 +59,17 @@ def _rank_one(
     share = {name: float(own.collision_free.mean()) for name, own in episodes.items()}
     references = tuple(name for name in episodes if kinds[name] == "privileged")
     competing = {name: own for name, own in episodes.items() if name not in references}
-    starts = len(next(iter(episodes.values())).collision_free)
+    count = len(next(iter(episodes.values())).collision_free)
     best, undecided = None, ""
     if competing and not np.isnan(list(share.values())).any():
         best = best_policy(competing)
-        if starts < starts_of(scenario, 2):
+        if count < starts_of(scenario, 2):
             best, undecided = None, ONE_START
         elif share[best] == 0.0:
             best, undecided = None, NONE_MET
     tied = () if best is None else _tied(best, competing)
     undecided = undecided if len(competing) > 1 else ""
-    return Ranking(scenario.name, starts, share, best, tied, references, undecided)
+    return Ranking(scenario.name, count, share, best, tied, references, undecided)
 
 
 def _tied(best: str, competing: dict[str, Episodes]) -> tuple[str, ...]:

@@ -35,9 +35,9 @@ _LARGE = 8
 
 EXAMPLES = (
     "",
-    "--scenario clutter-8 trap --policies tangent-joined learned --episodes 200",
+    "--scenario clutter-8 trap --policies tangent-merged learned --episodes 200",
     "--scenario fig3 --set n_robots=9 time_limit=60",
-    "--scenario clutter-8 --sensing noise=0,0.1,0.2 --against tangent-joined",
+    "--scenario clutter-8 --sensing noise=0,0.1,0.2 --against tangent-merged",
 )
 FLAG_GROUPS = {
     "Output": ("out", "fresh", "keep", "details", "json", "figures", "pdf"),
@@ -97,7 +97,7 @@ class Config(Workers):
         """Scenarios at the levels of the sensor sweeps."""
         return levels.sweeps(_resolve(self), self.sensing)
 
-    def starts(self, scenario: Scenario) -> int:
+    def count(self, scenario: Scenario) -> int:
         """Number of distinct initial conditions of a scenario."""
         asked = _fewer(_STARTS, scenario) if self.episodes is None else self.episodes
         return starts_of(scenario, asked)

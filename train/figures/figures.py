@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rendezvous_env.baselines.policy import current_name
 
 from rendezvous_env.checks import counted
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
@@ -37,8 +38,8 @@ _POLICY_COLOURS = {
     "privileged-planner": SKY,
     "tangent": DARK_RED,
     "tangent-blocking": PURPLE,
-    "tangent-joined": GREEN,
-    "tank-joined": GREEN,
+    "tangent-merged": GREEN,
+    "tank-merged": GREEN,
     "learned": VERMILLION,
     "link-keeping": "#44AA99",
     "pursuit": "#999933",
@@ -82,10 +83,10 @@ def shown_name(name: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name without the ending of a variant."""
+    """Current name of a policy without the ending of a variant."""
     for ending in _VARIANTS:
         name = name.removesuffix(ending)
-    return name
+    return current_name(name)
 
 
 def _is_shipped(name: str) -> bool:

@@ -36,7 +36,7 @@ Frame = NDArray[np.uint8]
 
 EXAMPLES = (
     "--scenario fig4",
-    "--scenario trap --policy tangent-joined --out out/trap.mp4 --fps 30",
+    "--scenario trap --policy tangent-merged --out out/trap.mp4 --fps 30",
 )
 
 

@@ -32,12 +32,12 @@ from .style import PAGE, new_figure, styled
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
+_LAWS = {"fig3": "bearing-only", "fig4": "tangent-merged"}
 """Figure 3: law (1) through the obstacles. Figure 4: law (4) around them."""
 
 _JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
 
-TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-joined"
+TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-merged"
 MARGINS = (0.05, 0.1, 0.2, 0.4, 0.8)
 BUDGETS = (0.0, 20.0)
 """Energy budgets, m²/s."""
@@ -60,11 +60,11 @@ class Config(Flags):
 
     figure: Positional[Literal["fig3", "fig4", "tank", "bounds", "pixels"]]
     """Figure to make. fig3: paths and V(t) of law (1), obstacles ignored. fig4: paths and V(t) of
-    law (4) around the obstacles. tank: tank-joined among 24 discs over margins and budgets. bounds:
+    law (4) around the obstacles. tank: tank-merged among 24 discs over margins and budgets. bounds:
     table of measured times and time bounds under every guarantee. pixels: success from camera
     images and the prediction of Sensing.camera()."""
     policy: str | None = None
-    """Policy of fig3, fig4 or pixels. Default: bearing-only, tangent-joined, or four policies."""
+    """Policy of fig3, fig4 or pixels. Default: bearing-only, tangent-merged, or four policies."""
     out: Path = Path("out/reproduce")
     """Folder for the figure and its data."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0

@@ -18,6 +18,7 @@ from . import ppo
 from .settings import CONFIG, check, read_config, same_run
 from .settings import EXAMPLES as EXAMPLES
 from .settings import FLAG_GROUPS as SETTINGS_GROUPS
+from .settings import FORMER_FLAGS as FORMER_FLAGS
 from .settings import Config as Settings
 
 FLAG_GROUPS = {"Several seeds": ("seeds", "jobs", "on", "address"), **SETTINGS_GROUPS}

@@ -157,18 +157,18 @@ class RecurrentRobotPPO(HeadingPPO):
 
 
 def learner_of(
-    config: Config, teams: FeatureVectorEnv
+    config: Config, env: FeatureVectorEnv
 ) -> tuple[type[HeadingPPO], type[HeadingNetwork], dict[str, Any]]:
     """Algorithm class, network class, and arguments of the network apart from its spaces."""
     usual = {"heading": 3.0, "tank": 0.0, "none": 0.0}[config.guarantee]
     prior = usual if config.prior is None else config.prior
     settings = network_settings(
-        teams.layout, set_width=config.set_width, hidden=config.hidden, prior=prior
+        env.layout, set_width=config.set_width, hidden=config.hidden, prior=prior
     )
     network: type[HeadingNetwork] = HeadingNetwork
-    if teams.global_state is not None:
+    if env.global_state is not None:
         network, settings["features_extractor_class"] = SplitNetwork, GlobalFeatures
-        settings["features_extractor_kwargs"]["state"] = teams.global_state
+        settings["features_extractor_kwargs"]["state"] = env.global_state
     if config.memory == "recurrent":
         return RecurrentRobotPPO, RecurrentNetwork, settings | {"units": config.memory_units}
     return HeadingPPO, network, settings

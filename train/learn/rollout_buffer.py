@@ -165,7 +165,7 @@ class HeadingPPO(RobotPPO):
         policy, buffer = self.policy, self.rollout_buffer
         self._update_learning_rate(policy.optimizer)
         clip: float = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
-        rule, told = Rule(clip, self.vf_coef, self.ent_coef), []
+        rule, told = LossCoefficients(clip, self.vf_coef, self.ent_coef), []
         buffer.begin(self.normalize_advantage)
         with side_by_side(self.device) as each:
             for _ in range(self.n_epochs):
@@ -178,7 +178,7 @@ class HeadingPPO(RobotPPO):
         self.logger.record("train/explained_variance", fitted)
 
     def _descend(
-        self, parts: Sequence[Tensor], rule: Rule, each: Callable[..., Any]
+        self, parts: Sequence[Tensor], rule: LossCoefficients, each: Callable[..., Any]
     ) -> NDArray[np.float64]:
         """One optimizer step; returns batch means, in the order of ``_MEASURED``."""
         weights = list(self.policy.parameters())
@@ -217,7 +217,7 @@ def side_by_side(device: torch.device) -> Iterator[Callable[..., Iterator[Any]]]
         torch.set_num_threads(threads)
 
 
-class Rule(NamedTuple):
+class LossCoefficients(NamedTuple):
     """Coefficients of the PPO loss."""
 
     clip_range: float
@@ -226,7 +226,7 @@ class Rule(NamedTuple):
 
 
 def slopes_of(
-    judged: Sequence[Tensor], samples: RolloutBufferSamples, rule: Rule
+    judged: Sequence[Tensor], samples: RolloutBufferSamples, rule: LossCoefficients
 ) -> tuple[list[Tensor], NDArray[np.float64]]:
     """Gradients of the summed loss w.r.t. logits (N, choices) and values (N, 1); N and sums."""
     slopes = [torch.empty(tensor.shape) for tensor in judged]

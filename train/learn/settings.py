@@ -61,14 +61,18 @@ FLAG_GROUPS = {
     "Domain randomisation of sensors": (*(f"sensing_{name}" for name in _SAMPLED), *_HOW_SAMPLED),
     "Rewards": (*_REWARDS, "own_progress", "contact_penalty"),
     "Evaluation and machine": (
-        "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
+        "eval_every", "eval_episodes", "eval_scenarios", "checkpoint_every", "tensorboard",
         "num_threads", "device",
     ),
 }  # fmt: skip
 
 
-_RENAMED = {"num_teams": "num_envs", "touch_penalty": "contact_penalty"}
+_RENAMED = {
+    "num_teams": "num_envs", "touch_penalty": "contact_penalty", "eval_starts": "eval_episodes"
+}  # fmt: skip
 """Deprecated names of settings, in calls and in stored runs."""
+FORMER_FLAGS = {flag(former): flag(name) for former, name in _RENAMED.items()}
+"""Deprecated flags."""
 
 
 class DefaultInt(int):
@@ -94,14 +98,14 @@ class Config(Flags):
     """Folder of the run."""
     resume: Path | None = None
     """Folder of a run to resume. Its stored settings apply, except total-steps, eval-every,
-    eval-starts, checkpoint-every and num-threads if given."""
+    eval-episodes, checkpoint-every and num-threads if given."""
     start_from: Path | None = None
     """Run or checkpoint that provides the initial weights."""
 
     set: tuple[str, ...] = ()
     """Overrides of scenario fields, for example n_robots=9 time_limit=60."""
 
-    num_envs: Annotated[int, Bounds(1), arg(aliases=("--num-teams",))] = 256
+    num_envs: Annotated[int, Bounds(1)] = 256
     """Number of environments simulated in parallel."""
     n_steps: Annotated[int, Bounds(2)] = 16
     """Number of decisions of each robot between updates."""
@@ -197,15 +201,15 @@ class Config(Flags):
     """Cost of an episode that reaches the time limit, spread evenly over its steps."""
     collision_penalty: float | None = None
     """Team cost per robot in contact and environment step."""
-    contact_penalty: Annotated[float, Bounds(0), arg(aliases=("--touch-penalty",))] = 1.0
+    contact_penalty: Annotated[float, Bounds(0)] = 1.0
     """Cost of a robot's first contact in an episode."""
     rendezvous_bonus: float | None = None
     """Team reward at rendezvous."""
 
     eval_every: Annotated[int, Bounds(0, 2**62)] = DefaultInt(500_000)
     """Number of decisions between evaluations; 0 disables evaluation."""
-    eval_starts: Annotated[int, Bounds(1, 2**32)] = DefaultInt(200)
-    """Number of held-out initial conditions in an evaluation."""
+    eval_episodes: Annotated[int, Bounds(1, 2**32)] = DefaultInt(200)
+    """Number of episodes of an evaluation, from held-out initial conditions."""
     eval_scenarios: tuple[str, ...] = ()
     """Evaluation scenarios. Default: the training scenario."""
     checkpoint_every: Annotated[int, Bounds(1, 2**62)] = DefaultInt(500_000)
@@ -302,7 +306,7 @@ class Config(Flags):
 
 
 _MOST_SAMPLES = 2**31
-MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
+MAY_CHANGE = ("total_steps", "eval_every", "eval_episodes", "checkpoint_every", "num_threads")
 """Fields that a resumed run may change."""
 
 

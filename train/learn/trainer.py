@@ -32,6 +32,7 @@ from ..policies import resolve_scenario
 from ..resume import claimed
 from . import checkpoint
 from .checkpoint import STATE_FILES, flatten, tensors, unflatten
+from .environments import TimedRobotVecEnv, make_environments
 from .log import (
     EVALUATION,
     METRICS,
@@ -43,7 +44,6 @@ from .log import (
 )
 from .recurrent import learner_of
 from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
-from .teams import TimedRobotVecEnv, make_environments
 
 _DOES_NOT_FIT = (
     KeyError, TypeError, ValueError, RuntimeError, IndexError, AttributeError, OverflowError,
@@ -73,7 +73,7 @@ class Trainer:
         self.settings = config.policy_settings()
         self.stage = 0
         self.robots = TimedRobotVecEnv(make_environments(config, 0))
-        algorithm, network, arguments = learner_of(config, self.robots.teams)
+        algorithm, network, arguments = learner_of(config, self.robots.vector_env)
 
         def learning_rate(_: float) -> float:  # the model asks for it while it is made, too
             done = self.model.num_timesteps / config.total_steps if hasattr(self, "model") else 0.0
@@ -144,7 +144,7 @@ class Trainer:
             optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
             state = unflatten(tables["state"])
             if isinstance(state.get("robots"), dict):  # runs of older versions kept none
-                state["robots"].setdefault("told", np.zeros(self.robots.slots.num_teams, np.int64))
+                state["robots"].setdefault("told", np.zeros(self.robots.slots.batch_size, np.int64))
             checkpoint.check_fits(state, self.robots, model.policy)
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
@@ -245,7 +245,7 @@ class Trainer:
                 scenario,
                 partial(LearnedPolicy, scenario, weights, settings),
                 margin=None if scenario.model.nonholonomic else settings.promised_margin,
-                episodes=config.eval_starts,
+                episodes=config.eval_episodes,
                 seed=EVALUATION_SEEDS,
             )
             numbers = statistics.summarise(scenario, "learned", episodes)

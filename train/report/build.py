@@ -21,7 +21,7 @@ from ..console import Console
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import write_text
-from . import board
+from . import leaderboard
 from .input import Comparison, half_written, read
 from .skeleton import PLAYER, Replay, assemble, elements, figures, part, player_data, terms
 
@@ -60,10 +60,10 @@ def run(config: Config) -> int:
 
 def _page_of(folder: Path) -> tuple[str, str]:
     """Page of a comparison or a leaderboard, and a note for the terminal."""
-    command = "leaderboard" if board.is_one(folder) else "compare"
+    command = "leaderboard" if leaderboard.is_one(folder) else "compare"
     try:
         if command == "leaderboard":
-            return board.page(folder), ""
+            return leaderboard.page(folder), ""
         found = read(folder)
         return page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
     except UserError:
@@ -76,7 +76,10 @@ def _page_of(folder: Path) -> tuple[str, str]:
 def page(found: Comparison) -> str:
     """The page as HTML."""
     encoded = encode_all(list(found.recordings.values()))
-    outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
+    outcomes = {
+        (row["scenario"], row["policy"], int(row["initial_condition"])): row
+        for row in found.episodes
+    }
     shown = [
         Replay(*key, vars(one), {name: outcomes[key][name] for name in _OUTCOME})
         for key, one in zip(found.recordings, encoded, strict=True)
@@ -133,12 +136,13 @@ def rankings(found: Comparison) -> list[Ranking]:
 def _counts(found: Comparison) -> str:
     """Numbers of scenarios, policies and initial conditions, as text."""
     policies = {name for played in found.run["policies"].values() for name in played}
-    first, count, starts = found.run["seed"], found.run["episodes"], found.run["starts"].items()
+    first, count = found.run["seed"], found.run["episodes"]
+    counts = found.run["initial_conditions"].items()
     seeds = f"seeds {first}–{first + count - 1}" if count > 1 else f"seed {first}"
     said = f"{counted(count, 'initial condition')} each ({seeds})"
-    if single := [name for name, own in starts if own == 1 < count]:
+    if single := [name for name, own in counts if own == 1 < count]:
         said += f"; one of {', '.join(single)}, whose initial condition is given"
-    said += "".join(f"; {own} of {name}" for name, own in starts if 1 < own < count)
+    said += "".join(f"; {own} of {name}" for name, own in counts if 1 < own < count)
     return (
         f"{counted(len(found.scenarios), 'scenario')}, {counted(len(policies), 'policy')}, {said}"
     )

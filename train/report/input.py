@@ -19,6 +19,8 @@ Key = tuple[str, str, int]
 Row = dict[str, str]
 """Cells of a line of a CSV file, as text."""
 
+_FORMER_COUNTS = "starts"
+"""Name of the entry ``initial_conditions`` before format version 8."""
 _FILES = ("results.csv", "paired.csv", "episodes.csv", "trajectories.npz")
 
 
@@ -89,6 +91,8 @@ def _read_run(folder: Path) -> dict[str, Any]:
         )
     if run.get("sha256") != plain_data.digest_of_rest(run):
         raise half_written(path, "its content was changed: the digest in it does not fit")
+    if _FORMER_COUNTS in run:  # after the check of the digest, which covers names
+        run["initial_conditions"] = run.pop(_FORMER_COUNTS)
     return run
 
 

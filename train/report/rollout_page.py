@@ -13,7 +13,7 @@ from rendezvous_env.trajectory import run
 
 from ..compare.evaluation import alignments
 from ..encoding import encode_all
-from ..recording import Recorder, Recording, state_of
+from ..recording import EpisodeRecorder, Recording, state_of
 from ..results import write_text
 from .skeleton import PLAYER, Replay, assemble, elements, part, player_data, terms
 
@@ -87,7 +87,7 @@ def recordings_of(trajectory: Trajectory, envs: int) -> list[Recording]:
     simulator = Simulator(trajectory.scenario, trajectory.num_envs)
     simulator.set_state(trajectory.start)
     seen = simulator.observe()
-    recorders = [Recorder(simulator, env, seen, exact=False) for env in range(envs)]
+    recorders = [EpisodeRecorder(simulator, env, seen, exact=False) for env in range(envs)]
     for number, step in enumerate(run(simulator, _policy_of(trajectory), seen), start=1):
         same = number < len(trajectory.times) and np.array_equal(
             simulator.positions, trajectory.positions[number]

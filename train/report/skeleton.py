@@ -143,5 +143,5 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "own_row": "gravity" if scenario.model.nonholonomic else "own velocity",
         "neighbour_slots": layout.neighbour_slots,
         "obstacle_slots": layout.obstacle_slots,
-        "silhouette_points": layout.silhouette_points,
+        "rows_per_obstacle": layout.rows_per_obstacle,
     }

@@ -73,7 +73,7 @@ class {word}:
     """This file is for robots of {where}."""
 '''
     }
-    for dim, word, where in ((2, "SteadyPlanes", "the plane"), (3, "OdometryFrame", "space"))
+    for dim, word, where in ((2, "OdometryPlane", "the plane"), (3, "OdometryFrame", "space"))
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
@@ -103,8 +103,8 @@ class {word}:
 '''
     }
     for is_filtered, module, word, what in (
-        (True, "search.direct_control", "DirectTeams", "under"),
-        (False, "learned.guide", "GuidedTeams", "without"),
+        (True, "search.direct_control", "DirectController", "under"),
+        (False, "learned.base_controller", "BaseController", "without"),
     )
 }
 _ROOTS = (
@@ -389,7 +389,7 @@ def corner_ticks(scenario: Scenario) -> list[list[tuple[Any, ...]]]:
     ahead, left = np.eye(d)[:1], np.eye(d)[1:2]
     pairs = [(left, -left), (ahead, -ahead), (ahead, ahead)]
     neighbours = [np.zeros((0, d)), -ahead, *map(np.concatenate, pairs)]
-    obstacles = [np.zeros((0, layout.silhouette_points, d))]
+    obstacles = [np.zeros((0, layout.rows_per_obstacle, d))]
     if layout.obstacle_slots:
         obstacles.append(_silhouettes(ahead, np.full((1, 1, 1), 0.5)))
     told = {"gravity": -np.eye(3)[2]} if layout.senses_gravity else {}

@@ -9,7 +9,7 @@ from rendezvous_env.baselines.laws.paper_laws import pitch_of
 
 import rendezvous_env as rv
 
-from .monitors import Moment, across, lengths, unit
+from .monitors import BatchMoment, across, lengths, unit
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -57,7 +57,7 @@ class Adversary:
         if by == "heading":
             self.turn_rates = np.minimum(max_turn_rate, self.turn_rates)
 
-    def __call__(self, observations: Float32, teams: Moment) -> ArrayLike:
+    def __call__(self, observations: Float32, teams: BatchMoment) -> ArrayLike:
         """Actions (B, n, k)."""
         restless = self.kinds[3::4]
         anew = self.random.random(restless.shape) < 0.1
@@ -76,7 +76,7 @@ class Adversary:
         padded = np.concatenate([controls, self.blind], axis=-1)[..., : desired.shape[-1]]
         return np.where(self.turning[:, np.newaxis], padded, desired)
 
-    def desired(self, teams: Moment) -> Array:
+    def desired(self, teams: BatchMoment) -> Array:
         """Desired velocity of each robot in its own frame, (B, n, d)."""
         anyhow, angle = self.random.normal(size=self.frozen.shape), self._spun(teams)
         spun = np.cos(angle) * self.frozen + np.sin(angle) * np.roll(self.frozen, 1, axis=-1)
@@ -104,11 +104,11 @@ class Adversary:
         weights = np.choose(style, (alone, alone, np.clip(scores, 0.0, 1.0), anyhow))
         return np.where(self.kinds[..., None] == _REST, 0.0, weights)
 
-    def _spun(self, teams: Moment) -> Array:
+    def _spun(self, teams: BatchMoment) -> Array:
         """Accumulated rotation of each robot, (B, n, 1), rad."""
         return np.asarray(self.spin * teams.time[:, None, None])
 
-    def controls(self, observations: Float32, teams: Moment) -> Array:
+    def controls(self, observations: Float32, teams: BatchMoment) -> Array:
         """Normalised inputs of nonholonomic robots: away from f, across it, held, random or
         alternating.
         """
@@ -145,7 +145,7 @@ def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
     return rates
 
 
-def _offset_of(teams: Moment, others: NDArray[np.int64]) -> Array:
+def _offset_of(teams: BatchMoment, others: NDArray[np.int64]) -> Array:
     """Offset from each robot to another one, (B, n, d), m; zero without a link."""
     found = np.take_along_axis(teams.offsets, others[..., None, None], axis=2)[..., 0, :]
     return np.where(teams.linked.any(axis=2, keepdims=True), found, 0.0)

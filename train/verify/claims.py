@@ -18,8 +18,8 @@ from rendezvous_env.safety.theorems.descent import time_bound
 
 from .falsification import Policy, Tally, begin
 from .monitors import Monitor, across, unit
+from .random_initial_conditions import log_uniform
 from .random_scenarios import Trial
-from .random_starts import log_uniform
 
 Array = NDArray[np.float64]
 Random = np.random.Generator

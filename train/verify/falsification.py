@@ -30,11 +30,11 @@ from rendezvous_env.trajectory import begin as begin_policy
 
 from .. import policies
 from .adversaries import Adversary, Misled
-from .monitors import NUMBERS, REPEATED, SEARCHED, Moment, Monitor
+from .monitors import NUMBERS, REPEATED, SEARCHED, BatchMoment, Monitor
 from .random_scenarios import Trial, other_starts
 
 Array = NDArray[np.float64]
-Policy = Callable[[Any, Moment], Any]
+Policy = Callable[[Any, BatchMoment], Any]
 
 TEAMS = 24
 """Number of environments per trial, divided evenly between initial conditions."""
@@ -84,7 +84,7 @@ class Tally:
     """Counts by theorem: initial conditions with a certificate ("granted"), checks of each of
     NUMBERS ("time" only if the bound was reached or all met before), and "violations"."""
     ratio: dict[str, float] = field(default_factory=dict)  # the worst T/bound of each
-    found: list[tuple[int, Trial, Played]] = field(default_factory=list)
+    found: list[tuple[int, Trial, TrialResult]] = field(default_factory=list)
     """Violations: trial index, trial as sampled, and result."""
 
     def join(self, other: Tally) -> None:
@@ -99,7 +99,7 @@ class Tally:
 
 
 @dataclass
-class Played(Tally):
+class TrialResult(Tally):
     """Result of a trial."""
 
     violation: Violation | None = None
@@ -196,7 +196,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     if trial.frame == "local" or trial.by == "gains" or not wrapped.filter.along_net_bearing:
         return wrapped, start, adversary
 
-    def as_seen(seen: Any, now: Moment) -> Array:
+    def as_seen(seen: Any, now: BatchMoment) -> Array:
         """Adversarial actions in the frames with x along f."""
         frames = wrapped.filter.get_state()["frames"]
         return np.einsum("bnij,bni->bnj", frames, np.asarray(adversary(seen, now)))
@@ -215,7 +215,7 @@ def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
     return env if by in ("law", "policy") else vector.GuaranteeWrapper(env, by, **arguments)
 
 
-def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
+def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> TrialResult:
     """Request the certificates, simulate a batch of environments and check every bound.
 
     It ends at a violation, or when every environment has met or reached its bound, if that is
@@ -227,13 +227,13 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
     else:
         promised = [ask(one, trial.by, trial.arguments) for one in among]
     if not any(one.limits for one in promised):
-        return Played()
+        return TrialResult()
     if any("expected_time" in one.limits for one in promised) and teams == TEAMS:
         teams = REPEATED * len(among)
     try:
         wrapped, observations, policy = begin(trial, promised[0].bearing_error, teams)
     except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
-        return Played()
+        return TrialResult()
     simulator, which = wrapped.unwrapped.simulator, start_of(teams, len(among))
     limits = {
         name: np.array([one.limits.get(name, math.inf) for one in promised])[which]
@@ -250,7 +250,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
         kept.append(np.asarray(chosen, dtype=np.float32))
         observations, *_, infos = wrapped.step(kept[-1])
         _, wrong = watch.look(infos)
-    played = Played(steps=len(kept), closeness=watch.closeness, began=began)
+    played = TrialResult(steps=len(kept), closeness=watch.closeness, began=began)
     for k, one in enumerate(promised):
         checked = {"granted", *watch.checked(which == k)}
         for name, own in one.theorems.items():
@@ -282,7 +282,7 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
     return np.where(late, most, last)
 
 
-def climb(trial: Trial) -> tuple[Trial, Played]:
+def climb(trial: Trial) -> tuple[Trial, TrialResult]:
     """Search for initial conditions that violate a bound.
 
     Simulate the trial from its initial conditions, then ``trial.generations`` times from variations
@@ -315,7 +315,7 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
     return trial, played
 
 
-def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
+def shrink(trial: Trial, played: TrialResult) -> tuple[Trial, TrialResult]:
     """Shrink a violation: simplify one property at a time while the same bound is violated."""
     assert played.violation is not None
     number, simpler = played.violation.number, _simpler(trial)
@@ -399,7 +399,7 @@ def _one_digit(value: float) -> float:
     return float(f"{value:.1g}")
 
 
-def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
+def write(folder: Path, name: str, trial: Trial, played: TrialResult) -> Path:
     """Write a violation: scenario in NAME.toml, settings in NAME.json.
 
     If a single environment repeats it, its actions and initial condition are included.
@@ -423,7 +423,7 @@ def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
     return folder / f"{name}.toml"
 
 
-def repeat(path: Path) -> Played:
+def repeat(path: Path) -> TrialResult:
     """Repeat a violation from the files of ``write``."""
     how = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     given = {name: how[name] for name in _HOW if name in how}

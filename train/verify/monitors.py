@@ -50,7 +50,7 @@ _NEARLY = 0.97
 underestimate it by at most 1.5 %."""
 
 
-class Moment:
+class BatchMoment:
     """State of a batch at one time: lazily read simulator attributes and pairwise geometry."""
 
     def __init__(self, teams: rv.Simulator) -> None:
@@ -131,7 +131,7 @@ class Monitor:
 
     def __init__(self, env: Any, limits: dict[str, Array], period: int, budget: float) -> None:
         self.env, self.limits, self.teams, self.scenario = env, limits, env.simulator, env.scenario
-        self.now = now = Moment(self.teams)
+        self.now = now = BatchMoment(self.teams)
         scenario, count = self.scenario, self.teams.num_envs
         n, r, degree = scenario.n_robots, scenario.merge_radius, scenario.max_degree
         self.once, self.held = period == 1, period * scenario.tau
@@ -193,7 +193,7 @@ class Monitor:
 
     def _measure(self, infos: Mapping[str, Any]) -> dict[str, tuple[Array, Any]]:
         """Monitored values, (B,) each, and their rounding allowances."""
-        last, self.now = self.now, Moment(self.teams)
+        last, self.now = self.now, BatchMoment(self.teams)
         now, outcome, touched = self.now, self.env.outcome, infos["contact"].any(axis=1)
         alone, left = (last.active == now.active).all(axis=1), now.active.sum(axis=1)
         calm = alone & ~touched & np.isinf(self.met)

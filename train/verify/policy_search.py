@@ -14,8 +14,8 @@ import numpy as np
 
 import rendezvous_env as rv
 
-from . import random_starts as places_of
-from .falsification import Played, Tally, Violation, climb
+from . import random_initial_conditions as places_of
+from .falsification import Tally, TrialResult, Violation, climb
 from .monitors import SEARCHED
 from .random_scenarios import GRAPHS, STARTS, Trial, other_starts, random_graph, reach_of
 
@@ -28,12 +28,12 @@ _CLIMBING = 0.3  # share of trials whose starts are improved
 _SIZES = (2, 3, 3, 4, 4, 5, 6)
 
 
-class Found(NamedTuple):
+class Counterexample(NamedTuple):
     """A counterexample."""
 
     number: str  # one of SEARCHED
     trial: Trial
-    played: Played
+    played: TrialResult
 
 
 def search(
@@ -102,13 +102,13 @@ def _varied(random: np.random.Generator, scenario: rv.Scenario) -> rv.Scenario:
     return varied.replace(start_positions=places_of.random_positions(random, n, dim, r, reach))
 
 
-def first_of_each(tally: Tally) -> Iterator[Found]:
+def first_of_each(tally: Tally) -> Iterator[Counterexample]:
     """The counterexample with fewest robots, and of these the first drawn, of each number."""
     for number in SEARCHED:
         found = [one for one in tally.found if one[2].violation.number == number]  # type: ignore[union-attr]
         if found:
             _, trial, played = min(found, key=lambda one: (one[1].scenario.n_robots, one[0]))
-            yield Found(number, trial, played)
+            yield Counterexample(number, trial, played)
 
 
 _WORDS = {

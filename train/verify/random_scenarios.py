@@ -18,8 +18,8 @@ import rendezvous_env as rv
 from rendezvous_env.safety.theorems.delay import longest_held_step
 from rendezvous_env.safety.theorems.theorem import CHOICES
 
-from . import random_starts as places_of
-from .random_starts import log_uniform, pick
+from . import random_initial_conditions as places_of
+from .random_initial_conditions import log_uniform, pick
 
 Array = NDArray[np.float64]
 Random = np.random.Generator

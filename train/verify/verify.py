@@ -92,7 +92,7 @@ class Config(Workers):
     """Discard the unfinished results of another command in OUT/verify.part."""
 
 
-class Task(NamedTuple):
+class WorkUnit(NamedTuple):
     """Independent unit of work: batches of a claim, or random scenarios."""
 
     name: str  # of its cell
@@ -189,7 +189,7 @@ def _finish(
     config: Config,
     path: Path,
     plan: Mapping[str, Any],
-    tasks: Sequence[Task],
+    tasks: Sequence[WorkUnit],
     rows_of: Callable[[Mapping[str, Tally]], list[dict[str, Any]]],
     console: Console,
 ) -> tuple[dict[str, Tally], list[dict[str, Any]]]:
@@ -224,7 +224,7 @@ def _run_search(config: Config, policy: str, console: Console) -> int:
     for part in parts:
         given = policy, scenario, config.seed
         looks = (partial(policy_search.search, *given, k, config.search) for k in part)
-        tasks.append(Task(f"policy-{part[0]:07d}", "scenarios", tuple(looks)))
+        tasks.append(WorkUnit(f"policy-{part[0]:07d}", "scenarios", tuple(looks)))
 
     def rows_of(tallies: Mapping[str, Tally]) -> list[dict[str, Any]]:
         return policy_search.rows_of(tallies["scenarios"], config.search)
@@ -256,7 +256,7 @@ def _steps_of(tally: Tally) -> str:
     return f"{counted(tally.steps, 'step')} of {TEAMS} environments"
 
 
-def look(task: Task) -> Tally:
+def look(task: WorkUnit) -> Tally:
     """Run a task."""
     tally = Tally()
     for one in task.looks:
@@ -264,7 +264,7 @@ def look(task: Task) -> Tally:
     return tally
 
 
-def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
+def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[WorkUnit]:
     """Tasks of the claims, as batches with the number of environments that count."""
     count = math.ceil(config.trials / BATCH)
     batches = [(k, min(BATCH, config.trials - k * BATCH)) for k in range(count)]
@@ -276,18 +276,18 @@ def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
     for claim, part in itertools.product(claims, parts):
         check = partial(cases.check, claim, config.seed, least_margin=config.min_alignment)
         looks = tuple(partial(check, number, count) for number, count in part)
-        tasks.append(Task(f"{claim.name}-{part[0][0]:07d}", claim.name, looks))
+        tasks.append(WorkUnit(f"{claim.name}-{part[0][0]:07d}", claim.name, looks))
     return tasks
 
 
-def _tasks_of_any(config: Config) -> list[Task]:
+def _tasks_of_any(config: Config) -> list[WorkUnit]:
     """Tasks of random scenarios, each of one kind, with a maximum number of kinds."""
     draws = math.ceil(config.trials / STARTS)
     parts = [range(k, min(k + DRAWS, draws)) for k in range(0, draws, DRAWS)]
     kinds, tasks = config.kinds or len(parts), []
     for k, part in enumerate(parts):
         looks = tuple(partial(_try_all, config.seed, number, k % kinds) for number in part)
-        tasks.append(Task(f"any-{k:07d}", "scenarios", looks))
+        tasks.append(WorkUnit(f"any-{k:07d}", "scenarios", looks))
     return tasks
 
 

@@ -34,7 +34,7 @@ from ...scenario.scenario import Scenario
 from ..settings import bounded_error, check_share
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem, at_least
+from .theorem import Asked, Theorem, TheoremBounds, at_least
 
 Array = NDArray[np.float64]
 
@@ -72,12 +72,12 @@ def time_bound(
     return np.asarray(bound)
 
 
-def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def lyapunov_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """V never increases between merges under law (1), certified headings or the gate."""
-    return Bounds(lyapunov=float(known.lyapunov_bound(scenario)))
+    return TheoremBounds(lyapunov=float(known.lyapunov_bound(scenario)))
 
 
-def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def time_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Time bounds of theorems A and C."""
     long = known.long_step(scenario)
     if asked.by == "law":
@@ -90,7 +90,7 @@ def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
         words += " with velocities scaled to the long step" * long
     start = known.largest_lyapunov(scenario)
     time = float(time_bound(scenario, start, min_alignment=asked.min_alignment))
-    return Bounds(words, True, time, lyapunov=float(known.lyapunov_bound(scenario)))
+    return TheoremBounds(words, True, time, lyapunov=float(known.lyapunov_bound(scenario)))
 
 
 def _disturbed_rates(scenario: Scenario) -> tuple[float, Array]:
@@ -156,7 +156,7 @@ def last_failure(scenario: Scenario) -> float:
     return max(ends) + tau * (max(ends) > 0.0)  # an event waits for the next step
 
 
-def disturbed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def disturbed_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds of theorem N2 on the time and on V."""
     n, (share, rates) = scenario.n_robots, _disturbed_rates(scenario)
     reach = max(scenario.merge_radius / 2.0, scenario.speed_limit * scenario.tau)
@@ -165,7 +165,7 @@ def disturbed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     most += (n - 1) * scenario.tau * n * scenario.events.disturbance**2 / share
     time = last_failure(scenario) + float(known.held_time(scenario, most, rates))
     words = f"theorem N2: law (1) meets in finite time with {scenario.events}"
-    return Bounds(words, meets=True, time=time, lyapunov=most)
+    return TheoremBounds(words, meets=True, time=time, lyapunov=most)
 
 
 # The paper's laws for robots that turn, held, can raise V a little; certified ones cannot.

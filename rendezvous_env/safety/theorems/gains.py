@@ -30,7 +30,7 @@ from ..gains import gain_range
 from . import assumptions as given
 from . import constants as known
 from .descent import last_failure
-from .theorem import TWO_CRASHED, Asked, Bounds, Theorem
+from .theorem import TWO_CRASHED, Asked, Theorem, TheoremBounds
 
 Array = NDArray[np.float64]
 
@@ -93,9 +93,9 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
     return np.minimum(gains, scenario.min_speed_limit), most
 
 
-def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def hull_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bound on L alone, without visibility assumptions."""
-    return Bounds(hull=known.largest_size(scenario) + known.hull_growth(scenario))
+    return TheoremBounds(hull=known.largest_size(scenario) + known.hull_growth(scenario))
 
 
 def depth_gained(n: ArrayLike, dim: int, led: bool) -> Array:
@@ -124,7 +124,7 @@ def one_crash(scenario: Scenario, asked: Asked) -> str:
     return "" if count else "none: no robot crashes"
 
 
-def crashed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def crashed_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds after one robot has crashed: it is then a stationary root."""
     after = last_failure(scenario)
     found = bounds(scenario, asked, led=True)
@@ -133,7 +133,7 @@ def crashed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return replace(found, words=words, time=time, continuous_time=math.inf)
 
 
-def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> Bounds:
+def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> TheoremBounds:
     """Bounds on both times and on L, with a stationary root if ``led``; None is as on the graph."""
     (gains, most), m, dim = _gains(scenario, asked), known.robots_left(scenario), scenario.dim
     led = known.led(scenario) if led is None else led
@@ -154,7 +154,7 @@ def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> Bounds:
     )
     time = float(known.held_time(scenario, hull, held))
     continuous = float(known.over_rate(known.largest_size(scenario), followed))
-    return Bounds(words, meets=True, time=time, continuous_time=continuous, hull=hull)
+    return TheoremBounds(words, meets=True, time=time, continuous_time=continuous, hull=hull)
 
 
 _HULL = given.velocity_inputs, given.bounded_errors, given.no_obstacles

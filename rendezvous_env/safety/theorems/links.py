@@ -27,7 +27,7 @@ from ...scenario.scenario import Scenario
 from ..links import asymmetric_sight
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem, bounds_with_errors
+from .theorem import Asked, Theorem, TheoremBounds, bounds_with_errors
 
 
 def visibility_is_mutual(scenario: Scenario, asked: Asked) -> str:
@@ -81,7 +81,7 @@ def merge_growth(scenario: Scenario) -> float:
     return (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
 
 
-def bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds on the time, on V for permanent links, and on links."""
     n, radius = scenario.n_robots, scenario.merge_radius
     unlimited = scenario.sensing.range is None
@@ -101,7 +101,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     counted = unlimited or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
     time, tolerated = known.held_time(scenario, most, rates), math.pi / (2.0 * n)
     if lost := given.errors_outlasted(scenario, asked, tolerated):
-        return Bounds(lost, tolerated_bearing_error=tolerated)
+        return TheoremBounds(lost, tolerated_bearing_error=tolerated)
     words = (
         "theorem R: whatever is wanted, no link in sight grows longer between merges, and all "
         "robots meet in finite time"

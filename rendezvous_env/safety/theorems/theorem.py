@@ -20,7 +20,7 @@ CHOICES = {
 ROUNDED = 2.0**-22
 """Bound on the rotation of a bearing by float32 rounding, rad."""
 PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
-"""Fields of Bounds that hold for the environment in sampled time."""
+"""Fields of TheoremBounds that hold for the environment in sampled time."""
 
 
 def at_most(bound: float) -> str:
@@ -56,7 +56,7 @@ LAW = Asked()
 
 
 @dataclass(frozen=True)
-class Bounds:
+class TheoremBounds:
     """Bounds of a theorem for a scenario; infinite where there is none."""
 
     words: str = ""  # the promise, its theorem first; or why there is none for this error
@@ -72,7 +72,7 @@ class Bounds:
 
 def bounds_with_errors(
     asked: Asked, time: Any, tolerated: float, words: str, who: str, even_so: str = "", **rest: Any
-) -> Bounds:
+) -> TheoremBounds:
     """Numbers with bearing errors: a rendezvous guarantee if the time, s, is finite.
 
     Otherwise a message that the time overflows, or that η exceeds the ``tolerated`` error, rad, of
@@ -93,7 +93,7 @@ def bounds_with_errors(
             f"than {at_least(tolerated)} rad here (guarantees 11){even_so}"
         )
     time = float(time) if meets else math.inf
-    return Bounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
+    return TheoremBounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
 
 
 Assumption = Callable[[Scenario, Asked], str]
@@ -109,7 +109,7 @@ class Theorem:
     name: str  # as docs/guarantees.md calls it
     by: tuple[str, ...]  # what keeps the guarantee: some of CHOICES
     assumptions: tuple[Assumption, ...]  # all of them must hold
-    bounds: Callable[[Scenario, Asked], Bounds]  # its promise for a scenario that meets them all
+    bounds: Callable[[Scenario, Asked], TheoremBounds]  # for a scenario that meets them all
     rendezvous: bool = True  # whether it can promise one, and not only that something is bounded
     every_step: str = ""
     """Property of every step without merge or contact, or empty: V does not increase ("descent"),

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..playing import Player
+from ..environments import can_learn, filter_arguments, make_training_envs, without_base_controller
+from ..playing import EvaluationSetup
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, filter_arguments, make_training_envs, without_base_controller
 
 _PPO = {"lmbda": 0.95, "entropy_coef": 0.003}
 LEARNERS: dict[str, dict[str, Any]] = {"Ippo": _PPO, "Mappo": _PPO, "Masac": {}, "Qmix": {}}
@@ -41,7 +41,7 @@ _EXPERIMENT: dict[str, Any] = {
 
 def learn(
     field: Scenario, seed: int, budget: Budget, *, name: str, safety: str
-) -> tuple[Callable[[int], Player], dict[str, Any]]:
+) -> tuple[Callable[[int], EvaluationSetup], dict[str, Any]]:
     """Train one of ``LEARNERS``, see ``Algorithm.learn``.
 
     ``safety`` is that of ``make_training_envs``; under "none" a first contact has no cost.
@@ -75,7 +75,7 @@ def learn(
     told = asdict(config) | {"save_folder": None, "net_arch": network.num_cells}
     told |= {"algorithm": name, **asdict(algorithm), "num_envs": budget.num_envs}
     how = {"safety": safety, "anew": False, **_price(safety)}
-    return (lambda n: Player(make_training_envs(field, n, **how), choose)), told
+    return (lambda n: EvaluationSetup(make_training_envs(field, n, **how), choose)), told
 
 
 def task_of(field: Scenario, safety: str) -> Any:

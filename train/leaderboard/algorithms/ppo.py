@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rendezvous_env.scenario.scenario import Scenario
 
 from ...learn.settings import TRAINING_SEEDS
-from ..playing import Player
+from ..environments import can_learn, make_training_envs
+from ..playing import EvaluationSetup
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, make_training_envs
 
 SETTINGS: dict[str, Any] = {
     "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,
@@ -38,7 +38,7 @@ class Paid(VectorWrapper):
 
 def learn(
     field: Scenario, seed: int, budget: Budget, *, limit: float | None = None, **safety: Any
-) -> tuple[Callable[[int], Player], dict[str, Any]]:
+) -> tuple[Callable[[int], EvaluationSetup], dict[str, Any]]:
     """Train in environments under the filter ``safety``, see ``Algorithm.learn``.
 
     ``limit`` is the maximum mean number of contacts per episode for a Lagrangian learner, whose
@@ -70,7 +70,9 @@ def learn(
         chosen: NDArray[np.int64] = actions.reshape(seen.shape[:2])
         return chosen
 
-    return (lambda n: Player(make_training_envs(field, n, anew=False, **safety), choose)), settings
+    return (
+        lambda n: EvaluationSetup(make_training_envs(field, n, anew=False, **safety), choose)
+    ), settings
 
 
 def multiplier_of(paid: Paid, robots: Any, limit: float) -> Any:
@@ -124,7 +126,7 @@ ALGORITHMS = {
         limit=0.1,
     ),
     "ppo-rule": algorithm(
-        "PPO whose choices the joined rule leads round obstacles; a first touch costs 1",
+        "PPO over the merged-intervals rule, which avoids obstacles; a first contact costs 1",
         "rule",
         "rule",
     ),
