@@ -122,7 +122,7 @@ def _unit_vectors(
         raise ValueError(f"{name} have shape {vectors.shape}; they must be (…, {axes})")
     if len(vectors) > most:
         raise ValueError(
-            f"{name} are of {len(vectors)} {what}; this scenario has room for {most}: see its "
+            f"{name} are of {len(vectors)} {what}; this scenario has at most {most}: see its "
             f"{'neighbour_slots' if name == 'bearings' else 'obstacle_slots'}"
         )
     lengths = np.linalg.norm(vectors, axis=-1)
@@ -136,7 +136,7 @@ def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> Array:
     """Gravity row, (1, 3), or an empty array for robots that do not sense it."""
     if not sensed:
         if gravity is not None:
-            raise_invalid("gravity", gravity, "left out: these robots do not sense it")
+            raise_invalid("gravity", gravity, "omitted: these robots do not sense it")
         return np.zeros((0, 1))
     down = np.zeros(0) if gravity is None else floats("gravity", gravity)
     if down.shape != (3,) or not abs(np.linalg.norm(down) - 1.0) <= _ROUNDING:
@@ -152,8 +152,8 @@ def _gains(weights: ArrayLike, count: int, most: float) -> Array:
         raise_invalid(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
     if (total := float(gains.sum())) > (1.0 + _ROUNDING) * most:
         raise ValueError(
-            f"weights sum to {total:g} m/s; this scenario's come to D̄ = {most:g} m/s at most. "
-            "Where they are not 1, give them"
+            f"weights sum to {total:g} m/s; the maximum in this scenario is D̄ = {most:g} m/s. "
+            "Give weights that are not 1"
         )
     return gains
 
@@ -169,7 +169,7 @@ def _round_their_middles(rays: Array, net_bearing: Array) -> tuple[Array, Array]
     middles = total + np.where(backwards, -area, area)
     lengths = np.linalg.norm(middles, axis=-1, keepdims=True)
     for index in np.flatnonzero(lengths <= _FLAT):
-        raise_invalid(f"obstacles[{index}]", rays[index].tolist(), "rays round a cone")
+        raise_invalid(f"obstacles[{index}]", rays[index].tolist(), "rays around a cone")
     middles /= lengths
     rays = np.where(backwards[..., np.newaxis], rays[:, ::-1], rays)
     across = net_bearing - (middles @ net_bearing)[:, np.newaxis] * middles

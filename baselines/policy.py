@@ -62,7 +62,7 @@ class TeamPolicy(ABC):
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
-        """Arguments of ``certificate`` that hold for the policy; None if it keeps no guarantee."""
+        """Arguments of ``certificate`` for the policy; None without a guarantee."""
         return None
 
     @abstractmethod
@@ -92,7 +92,7 @@ class TeamPolicy(ABC):
         for name, seen in observations.items():
             if name not in robots:
                 known = f"they are robot_0 to robot_{n - 1}"
-                raise KeyError(f"no robot is called {short_repr(name)}; {known}")
+                raise KeyError(f"there is no robot {short_repr(name)}; {known}")
             given = np.asarray(seen)
             if given.shape not in (layout.shape, (table[0].size,)):
                 raise ValueError(
@@ -156,8 +156,8 @@ KINDS = {
     "tank": "rules under an energy tank",
     "own": "policies of users",
     "learned": "learned policies",
-    "privileged": "oracle baselines, which know the map and all positions",
-    "blind": "blind baselines, which see nothing",
+    "privileged": "oracle baselines, which use the map and all positions",
+    "blind": "blind baselines, which ignore observations",
 }
 """Kinds of policies, in the order of lists and tables."""
 
@@ -236,7 +236,7 @@ def current_name(name: str) -> str:
     return name if name in _registry else _FORMER.get(name, name)
 
 
-# The next four raise a KeyError for a name that is not registered; deprecated ones are accepted.
+# The next four raise a KeyError for an unregistered name; deprecated ones are accepted.
 
 
 def kind_of(name: str) -> str:
@@ -329,8 +329,8 @@ is_double_integrator = of_model("double_integrator")
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:
     """Limit actions (..., n, a), or (..., a), to the scenario's bounds.
 
-    Velocities and accelerations are scaled to their limit with their direction kept, also in teams
-    of several models; speeds and turn rates of the other models are clipped one by one.
+    Velocities and accelerations are scaled to their limit with their direction kept, also in mixed
+    teams; speeds and turn rates of the other models are clipped individually.
     """
     for_each = scenario.per_robot and actions.shape[-2:-1] == (scenario.n_robots,)
     bounds = scenario.robot_bounds if for_each else scenario.action_bounds

@@ -20,7 +20,7 @@ _KINDS = ("law", "rule", "learned")
 """Kinds whose policies are independent of robot indices and of the number of calls."""
 
 
-_BELOW = 1.0 - 1e-15  # fraction of a limit, so that rounding exceeds none
+_BELOW = 1.0 - 1e-15  # fraction of a limit in use, so that rounding does not exceed it
 
 
 def _within_limits(action: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float64]:
@@ -130,8 +130,8 @@ class RobotPolicy(OneRobot):
             of a run, a checkpoint or an exported network, as a Path or as "learned:PATH"; or a
             policy of the whole team or of ``scenario.of_robot(robot)``, by its ``scenario``.
         robot: index of the robot if models or limits of robots differ. The robot gets the actions
-            of the policy for this index. In teams of several models, named policies are those of
-            its own model, and "by-model" is the law of that model.
+            of the policy for this index. In mixed teams, named policies are those of its model, and
+            "by-model" is the law of that model.
         options: options of a named policy. Errors are those of ``act``.
     """
 
@@ -215,9 +215,9 @@ def of_one_robot(
 ) -> tuple[Scenario, Scenario, str]:
     """Scenario of a robot, that of its policy, and the policy's name.
 
-    A None robot is any, as all are equal. The policy controls the whole team if all robots have
-    the same model, with the limits of the team. In teams of several models it controls robots of
-    the model of this robot, and "by-model" is their law. A ValueError for an index out of range.
+    None stands for any robot, if all are equal. The policy controls the whole team if all robots
+    have the same model, with the limits of the team. In mixed teams it controls robots of this
+    robot's model, and "by-model" is their law. A ValueError for an index out of range.
     """
     if robot is None:
         return scenario, scenario, policy

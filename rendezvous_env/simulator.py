@@ -219,7 +219,7 @@ class Simulator(StateView):
         if not self._ready:
             never = np.flatnonzero(self._state.number < 0)
             which = (
-                f": environment {never[0]} has had none" if 0 < len(never) < self.num_envs else ""
+                f": environment {never[0]} was not reset" if 0 < len(never) < self.num_envs else ""
             )
             raise RuntimeError(f"call reset() before step(){which}")
 
@@ -376,9 +376,7 @@ class Simulator(StateView):
 
     @property
     def clearance(self) -> NDArray[np.float64]:
-        """Current distance of each robot to the nearest obstacle, (B, n), m; inf without
-        obstacles.
-        """
+        """Current distance of each robot to the nearest obstacle, (B, n), m; or inf."""
         return read_only(self._runner.observe().clearance)
 
     @property

@@ -90,7 +90,11 @@ def test_jax_ppo_example_runs():
     program = (EXAMPLES / "15_jax_ppo.py").read_text(encoding="utf-8")
     assert len([line for line in program.splitlines() if line.strip()]) <= 200
     sizes = ("--updates", "2", "--report", "1", "--envs", "8", "--steps", "4", "--held-out", "8")
-    told = run("15_jax_ppo.py", "--scenario", "duo", *sizes).splitlines()
+    said = run("15_jax_ppo.py", "--scenario", "duo", *sizes)
+    from device_bench import RATE
+
+    assert len(RATE.findall(said)) == 2
+    told = said.splitlines()
     shares = re.compile(r"(\d+\.\d)% met, (\d+\.\d)% without contact, \d+\.\d s")
     names, results = zip(*(line.split(": ") for line in told), strict=True)
     assert names[:2] == ("bearing-only", "before")

@@ -49,7 +49,7 @@ def environment(folder, *requirements):
     """
     call(sys.executable, "-m", "venv", folder, cwd=folder.parent)
     scripts = folder / "bin"
-    options = ["-q", "-c", ROOT / "constraints.txt"]
+    options = ["-q", "--no-compile", "-c", ROOT / "constraints.txt"]
     python = scripts / "python"
     done = run(python, "-m", "pip", "install", *options, *requirements, cwd=folder.parent)
     if NO_REGISTRY.search(done.stderr) and not os.environ.get("CI"):

@@ -63,7 +63,7 @@ class Bounds(NamedTuple):
 
 
 class GivenScenario(str):
-    """Name of a Scenario that was passed to a command in Python; it carries the Scenario."""
+    """Name of a Scenario that was passed to a command in Python, with the Scenario."""
 
     scenario: Any
 

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 class CommandedTank(EnergyTank):
-    """``EnergyTank`` without feedback about contacts and merges: steps are booked as commanded."""
+    """``EnergyTank`` without feedback about contacts and merges: steps count as commanded."""
 
     uses_feedback, reuses_calls = False, True
 
@@ -51,10 +51,9 @@ class CommandedTank(EnergyTank):
         """Correct the tank update of the previous step, which lasted only a fraction σ of τ.
 
         On a straight line G is concave in time and 0 at first. In a fraction σ ≤ 1 of a step a
-        robot therefore gains at least σ G, which remains booked. An arc deviates from its chord by
-        at most σ (1 − σ) |v ω| τ²/2, so σ G − σ (1 − σ) D̄ |v ω| τ² remains. A longer step books G.
-        A deficit of a tank is remitted. ``bends`` are |v ω| τ² of arcs of less than 2 rad, (B, n),
-        m.
+        robot therefore gains at least σ G, which remains. An arc deviates from its chord by at most
+        σ (1 − σ) |v ω| τ²/2, so σ G − σ (1 − σ) D̄ |v ω| τ² remains. A longer step adds G. A
+        negative level becomes zero. ``bends`` are |v ω| τ² of arcs of less than 2 rad, (B, n), m.
         """
         left = 1.0 - min(share, 1.0)
         lost = left * self._booked + left * (1.0 - left) * self.scenario.max_degree * bends
@@ -64,7 +63,7 @@ class CommandedTank(EnergyTank):
     def apply_calls(
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``EnergyTank.apply_calls``; the step is booked immediately, with duration τ."""
+        """As ``EnergyTank.apply_calls``; the tank is updated immediately, for duration τ."""
         mine = slice(*part[:2])
         note = partial(np.copyto, self._booked[mine], self._deposits[mine])
         acted = super().apply_calls(part, observations, actions)
@@ -114,10 +113,10 @@ class BaseController:
         show → (a network chooses) → choose, or head → apply:  raw = rule(R(φ) f)
 
     The robots follow the rule of ``tangent-merged-tuned`` with f rotated by their choices. The raw
-    vector becomes a certified heading, or with tanks any heading that they can pay for. Unicycles
-    turn as their gate or their tank allows, with memory in ``OdometryFrame``. In 3-D all of this
-    takes place in a plane (``OdometryPlane``). ``show`` updates the memory, so it is called once
-    per decision, and ``apply`` in every step. Arguments and errors are those of ``Features``.
+    vector becomes a certified heading, or with tanks any heading that the stored energy allows.
+    Unicycles turn as their gate or tank allows, with memory in ``OdometryFrame``. In 3-D all of
+    this takes place in a plane (``OdometryPlane``). ``show`` updates the memory, so it is called
+    once per decision, and ``apply`` in every step. Arguments and errors are those of ``Features``.
     """
 
     uses_feedback, reuses_calls = False, True  # as ``CommandedTank``
@@ -151,7 +150,7 @@ class BaseController:
             keeps = PASSABLE if certified else math.inf
             self.bodies = OdometryPlane(scenario, num_envs, 0.5 * clearance, most, keeps)
         elif scenario.model.nonholonomic:
-            # within the clearance of a free direction a body is before nothing
+            # within the clearance of a free direction nothing is ahead of a body
             self.bodies = OdometryFrame(scenario, num_envs, clearance, most)
         common = {"min_alignment": settings.min_alignment, "num_threads": num_threads}
         self.steering: HeadingFilter | CommandedTank
@@ -271,7 +270,7 @@ class BaseController:
 
 
 Controller = BaseController | DirectController
-"""From the choices of a network to actions, with a filter or without one."""
+"""Base controller that maps a network's choices to actions, with or without a filter."""
 
 
 def make_controller(
@@ -282,7 +281,7 @@ def make_controller(
     obstacle_slots: int | None = None,
     num_threads: int | None = None,
 ) -> Controller:
-    """Controller of a policy with these settings; arguments as of ``BaseController``."""
+    """Base controller of a policy with these settings; arguments as of ``BaseController``."""
     if settings.guarantee != "none":
         slots, threads = obstacle_slots, num_threads
         return BaseController(

@@ -1,7 +1,7 @@
 """Kernels of the base controller: the rule of merged intervals for a batch of robots.
 
-Most obstacles are out of sight, and most robots have none in their way, in no regular order. So
-visible obstacles are listed without a branch, and angles computed only for robots near one.
+Most obstacles are not visible and most robots are not blocked, in no regular order. Visible
+obstacles are therefore listed without a branch, and angles are computed only for robots near one.
 """
 
 import math
@@ -49,7 +49,7 @@ def aim(axes, robots, rule, arrays, work):
     """
     observations, bits, rotations, headings, raw = arrays
     numbers, listed, intervals = work
-    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
     lanes = lanes_of(numbers)
     how, least = (rule.clearance, rule.persistence), least_square_cosine(rule.clearance)

@@ -142,6 +142,6 @@ def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy:
         return LearnedPolicy(scenario, network, network.settings)
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])
-    with checkpoints.refusing(place, "is no policy of this version"):
+    with checkpoints.refusing(place, "is not a policy of this version"):
         settings = PolicySettings.from_plain(about.get("policy"))
         return LearnedPolicy(scenario, tables["network"], settings)

@@ -34,10 +34,10 @@ def observation_box(size: int) -> Box:
 
 
 class FeatureVectorEnv(GuaranteeWrapper):
-    """Vector environment whose robots choose from features, see ``BaseController``.
+    """Vector environment with features as observations and choices as actions.
 
-    Actions are choices (B, n), each held for ``decision_period`` steps. Observations are (B, n,
-    layout.size), including the last ones of an episode.
+    Actions are choices (B, n), each repeated for ``decision_period`` steps. Observations, also the
+    last of an episode, are (B, n, layout.size).
 
     Args:
         env: environments of any robot model but double integrators, in any autoreset mode.
@@ -91,30 +91,30 @@ class FeatureVectorEnv(GuaranteeWrapper):
         """Alignment of the headings with f in the last step, (B, n); NaN where undefined."""
         return self.controller.steering.alignment
 
-    def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
-        """As ``GuaranteeWrapper._drive``, with own progress and the penalty for first contacts."""
+    def _step_decision(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
+        """Steps of one decision, with own progress and the penalty for first contacts."""
         base: Any = self.env
         before = base.simulator.positions.copy() if self.own_progress else None
-        shown, rewards, ends, cuts, infos = super()._drive()
+        view, rewards, ends, cuts, infos = super()._step_decision()
         if before is not None:
             shares = self.own_progress * shares_of(base.simulator, before)
             infos["robot_rewards"] += shares
             rewards = rewards + shares.mean(axis=1)
-        contact, price = infos["contact"], self.contact_penalty
-        rewards = charge_first_contacts(price, contact, self._touched, rewards, infos)
-        return shown, rewards, ends, cuts, infos
+        contact, penalty = infos["contact"], self.contact_penalty
+        rewards = charge_first_contacts(penalty, contact, self._touched, rewards, infos)
+        return view, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
         (self.controller.choose if self.discrete else self.controller.head)(actions)
 
     @property
-    def _pilot(self) -> BatchController | None:
+    def _controller(self) -> BatchController | None:
         return self.controller
 
     def _act(self) -> NDArray[np.float32]:
         return self.controller.apply(self._observed)
 
-    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+    def _view(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         size = self.layout.size
         self.controller.show(self._shown[..., :size], self._observed, which)
         if self.global_state is not None:
@@ -186,7 +186,7 @@ class ShippedPreset:
         return guarantee in POLICIES and can_steer(scenario)
 
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
-        """Arguments of the guarantee's wrapper where observations and actions are not the preset's.
+        """Arguments of the guarantee's wrapper if observations and actions are not the preset's.
 
         The decision period is that of the shipped policy. A tank has its budget in units of r D̄
         and an observed stored energy.
@@ -223,7 +223,7 @@ class ShippedPreset:
                 changes[key] = number(key, value)
             else:
                 raise_invalid(
-                    key, value, "left to the learning preset; learning_preset=False takes it"
+                    key, value, "omitted: the learning preset sets it, unless learning_preset=False"
                 )
         settings = replace(preset(guarantee, scenario).settings, **changes)
         return FeatureVectorEnv(env, settings, discrete=discrete)

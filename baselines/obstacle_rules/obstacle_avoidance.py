@@ -36,7 +36,7 @@ from .merged_intervals_2d import axis_is_clear, merged_headings_2d
 from .obstacle_edges import tangent_headings
 from .planes_in_space import axis_is_clear_3d, headings_in_planes, widened_rays
 
-FLAT = 0.04  # rad; the flat sides between eight boundary rays lie within a round cone by no more
+FLAT = 0.04  # rad; maximum distance of flat sides between eight boundary rays from a round cone
 Array = NDArray[np.float64]
 HeadingRule = Callable[[Array, NDArray[Any]], Array]
 """Heading rule: net bearings and silhouettes → headings hᵢ, (..., d), unit vectors.
@@ -157,7 +157,7 @@ class CertifiedHeadingPolicy(StatefulPolicy):
 
     scenario: Scenario
     rule: HeadingRule
-    min_alignment: float = 0.1  # ε, the margin |hᵀf| ≥ ε‖f‖
+    min_alignment: float = 0.1  # ε, minimum alignment: |hᵀf| ≥ ε‖f‖
     max_turn_rate: float = 3.0  # ω_max of the heading, rad/s
 
     def __post_init__(self) -> None:
@@ -195,7 +195,7 @@ class CertifiedHeadingPolicy(StatefulPolicy):
             f,
             self._previous,
             min_alignment=self.min_alignment,
-            dead_zone=scenario.dead_zone or 1.0,  # without a link f is 0 whatever it is
+            dead_zone=scenario.dead_zone or 1.0,  # any value, since f is 0 without links
             max_turn=self.max_turn_rate * elapsed,
         )
         scale = step_scale(layout.degree(seen), scenario.merge_radius, scenario.tau)

@@ -19,7 +19,7 @@ TOUCHED = 1e-4
 """Sum of opposite points below which rounding to float32 would determine their middle."""
 
 _NO_SIGNS = 0x7FFFFFFF7FFFFFFF
-"""All bits of two float32 but their signs, since zeros have either sign."""
+"""Bit mask of two float32 without their signs, since zeros have either sign."""
 
 
 @kernel

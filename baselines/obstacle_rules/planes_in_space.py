@@ -1,7 +1,7 @@
 """Obstacles of 3-D scenarios in a plane that contains f.
 
-A robot passes obstacles at an azimuth about f. Their cones, widened by a clearance, intersect its
-plane in silhouettes of the plane.
+A robot passes obstacles at an azimuth about f. The intersections of their cones, widened by a
+clearance, with its plane are angular extents in 2-D.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Speeds and turn rates chosen by a network, and what a robot remembers of its own search."""
+"""Speeds and turn rates chosen by a network, and a robot's memory of its search."""
 
 from functools import partial
 from typing import Any
@@ -51,7 +51,7 @@ class SearchMemory(StatefulMixin):
 
 
 class DirectCommands(SafetyFilter):
-    """Speeds and turn rates as they are chosen, without a guarantee.
+    """Filter that passes on chosen speeds and turn rates, without a guarantee.
 
     Args:
         scenario: of unicycles.
@@ -83,8 +83,9 @@ class DirectCommands(SafetyFilter):
 
 
 class DirectController:
-    """Speeds and turn rates from a network, for B environments, with the interface of
-    ``BaseController``: show → (a network chooses) → choose → apply.
+    """Speeds and turn rates from a network, for B environments.
+
+    The interface is that of ``BaseController``: show → (a network chooses) → choose → apply.
 
     Args:
         commands: choices, (choices, 2): speed and turn rate in units of their limits.
@@ -179,7 +180,7 @@ class DirectController:
 
 
 def check_searches(scenario: Scenario) -> None:
-    """Raise a ValueError for robots that have no speed and turn rate."""
+    """Raise a ValueError for robots other than unicycles."""
     if scenario.robot_model != "unicycle":
         raise ValueError(
             f"scenario {scenario.name!r} has {scenario.model.name} robots; a network without a "

@@ -39,7 +39,7 @@ class RendezvousTask(TaskClass):
         if decided := {"num_envs", "discrete", "seed", "device"} & set(config or ()):
             raise ValueError(
                 f"config has {sorted(decided)[0]!r}, which the ExperimentConfig and the algorithm "
-                "decide; leave it out"
+                "set; omit it"
             )
         super().__init__(name, config)
 
@@ -155,9 +155,7 @@ class HeldOut(Callback):
         self.experiment.test_env.set_seed(self.seed)
 
     def on_evaluation_end(self, rollouts: Sequence[TensorDictBase]) -> None:
-        """Store and log the first episode of each environment, then restore the initial
-        conditions.
-        """
+        """Log the first episode of each environment; restore the initial conditions."""
         experiment = self.experiment
         period = experiment.test_env.seconds_per_step
         times, free = zip(*(_meeting(each, period) for each in rollouts), strict=True)

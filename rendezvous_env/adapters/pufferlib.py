@@ -70,7 +70,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         follows = self.slots.simulator.scenario.on_merge
         if follows != "follow":
             raise ValueError(
-                f"on_merge is {follows!r}; agents that live as long as their team need 'follow'"
+                f"on_merge is {follows!r}; agents that last until the end need 'follow'"
             )
         self._seed, self.simulator = seed, self.slots.simulator
         self.num_agents = self.slots.active.size

@@ -135,9 +135,7 @@ class RobotVecEnv(VecEnv):
         self._actions = given if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Advance every environment; returns observations, rewards, dones and infos of the
-        slots.
-        """
+        """Advance all environments; returns observations, rewards, dones and infos."""
         step = self.slots.step(self._actions)
         self.acted, self.ended, self.costs = step.acted, step.ended, step.costs
         self.bootstrapped, self.survivors = step.bootstrapped, step.survivors
@@ -241,9 +239,7 @@ class RobotVecEnv(VecEnv):
         return [value] * len(slots)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute on the object that has it, for all slots; a subset of slots is
-        rejected.
-        """
+        """Set an attribute on the object that has it; a subset of slots is rejected."""
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(f"set_attr: all slots share {attr_name!r}; leave indices out")
         setattr(self._owner(attr_name, self.vector_env), attr_name, value)

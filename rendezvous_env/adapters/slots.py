@@ -37,14 +37,14 @@ _COUNTED = {told: kept for kept, told in _TOLD.items()}
 class SlotStep(NamedTuple):
     """Step of B·n slots."""
 
-    observations: NDArray[np.float32]  # (slots, ...), for the next actions; zeros if gone
+    observations: NDArray[np.float32]  # (slots, ...), for the next actions; zeros if inactive
     rewards: NDArray[np.float32]  # (slots,), of the robots
     acted: NDArray[np.bool_]  # (slots,), whose robot took part in the step
-    ended: NDArray[np.bool_]  # (slots,), whose episode it ended; all slots of a team that is over
+    ended: NDArray[np.bool_]  # (slots,), whose episode ended; all slots of an ended environment
     bootstrapped: NDArray[np.int64]  # (k,), slots that the step cut off: time-out or merge
-    survivors: NDArray[np.int64]  # (k,), the slots that these are now part of, or their own
-    bootstrap_observations: NDArray[np.float32]  # (k, ...), by which their future is valued
-    last: NDArray[np.float32]  # (B, n, ...), at the end of the step, before any team was reset
+    survivors: NDArray[np.int64]  # (k,), the slots they merged into, or their own
+    bootstrap_observations: NDArray[np.float32]  # (k, ...), from which to bootstrap
+    last: NDArray[np.float32]  # (B, n, ...), at the end of the step, before any reset
     met: NDArray[np.bool_]  # (B,), environments whose episode ended with a rendezvous
     late: NDArray[np.bool_]  # (B,), environments whose episode ended at the time limit
     finished: dict[int, dict[str, Any]]
@@ -60,7 +60,7 @@ class RobotSlots:
     An environment is reset in the step in which it ends. Rendezvous is a termination; a time-out
     and a merge are truncations. At a time-out a slot is bootstrapped from its own last observation,
     at a merge from its survivor's, so an early merge is not penalised. With action repeat this
-    requires ``on_merge="follow"``: otherwise the robot earns nothing in the remaining steps.
+    requires ``on_merge="follow"``: otherwise the robot receives reward 0 in the remaining steps.
 
     Args:
         vector_env: a vector environment with SAME_STEP autoreset, wrapped or not; a ValueError for
@@ -113,7 +113,7 @@ class RobotSlots:
 
         Arguments are those of the vector environment. Returns observations (slots, ...).
         """
-        mask = (given := as_options(options)).get("reset_mask")  # some wrappers take it out
+        mask = (given := as_options(options)).get("reset_mask")  # some wrappers remove it
         observations, infos = self.vector_env.reset(seed=seeds, options=given)
         self.begin(np.ones(self.batch_size, np.bool_) if mask is None else mask)
         self.active = infos["active"].copy()
@@ -250,5 +250,5 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
                 f"set_options: all environments need the same keys and obstacles; one has {first}, "
                 f"another {other}"
             )
-    own_of_each = {*OPTIONS} - {"obstacles"}  # keys that are not ours are ignored, or meant
+    own_of_each = {*OPTIONS} - {"obstacles"}  # other keys are ignored, or intended
     return {key: stacked(key) if key in own_of_each else first[key] for key in first}

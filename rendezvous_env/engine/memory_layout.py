@@ -66,9 +66,7 @@ class MemoryLayout:
 
     @property
     def sensor_memory(self) -> tuple[int, int, int]:
-        """Numbers that sensors keep of a team: of detection, of noise (each of two steps), and rows
-        of a robot that are held between samples.
-        """
+        """Sizes of sensor memory: detection, noise (two steps each), and held rows of a robot."""
         sensing, n = self.scenario.sensing, self.scenario.n_robots
         pairs, silhouettes = n * (n - 1), n * self.n_obstacles * self.points
         remembers = sensing.largest("persistence") > 0.0

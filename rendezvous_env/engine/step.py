@@ -343,7 +343,7 @@ class StepStages:
         state, robot, place = self._state, self._robot, self._state.place
         errors = sensor.errors
         if sensor.effects is not None and sensor.effects.falloff > 0.0:
-            errors = errors._replace(half_field=math.pi)  # to fall off to the edge ends there
+            errors = errors._replace(half_field=math.pi)  # linear falloff ends at the edge
         blocks = first, last, moves, errors
         memory, streams = (work.keys, work.words), (state.seed, state.number)
         if sensor.views is not None:
@@ -426,7 +426,7 @@ class StepStages:
     def _turn_observers(
         self, rows: tuple[int, int], blocks: tuple[int, int, bool], sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
-        """Turn rows, from one to before another, by what a robot's sensor is askew."""
+        """Rotate a range of rows by the bias of each robot's sensor."""
         if sensor.observer_bias.max() > 0.0:
             state = self._state
             streams = state.seed, state.number, state.environments
@@ -444,7 +444,7 @@ class StepStages:
     def _apply_noise_to_silhouettes(
         self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
-        """What changes silhouettes, in the order of rows of neighbours: sectors come last."""
+        """Stages that change angular extents, in the order of neighbour rows: sectors come last."""
         state, place, effects, errors = (
             self._state,
             self._state.place,

@@ -28,9 +28,9 @@ _Space = TypeVar("_Space")
 class RobotInfo(dict[str, Any]):
     """Infos of one robot, under the same keys in every step.
 
-    ``info["summary"]`` is none of the keys, so that libraries that make arrays of infos find the
-    same in every step. It reads the numbers of STANDING once more, and ``"summary" in info`` is
-    True after the last step of an episode, both as in earlier versions.
+    ``info["summary"]`` returns the values of STANDING but is not a key, because libraries that
+    stack infos need equal keys in every step. ``"summary" in info`` is True after the last step of
+    an episode. Both are as in earlier versions.
     """
 
     __slots__ = ()
@@ -109,9 +109,7 @@ class BaseParallelEnv(
 
     @property
     def np_random(self) -> np.random.Generator:
-        """Random numbers for wrappers, as Gymnasium has them: seeded with the team's seed, and not
-        used by the team.
-        """
+        """Random generator for wrappers, seeded with the environment's seed, as in Gymnasium."""
         if self._np_random is None:
             self._np_random = np.random.default_rng()
         return self._np_random
@@ -122,11 +120,11 @@ class BaseParallelEnv(
 
     @property
     def np_random_seed(self) -> int | None:
-        """The seed in use, of the team and of ``np_random``; None before the first reset."""
+        """Seed of the environment and of ``np_random``; None before the first reset."""
         return self._np_random_seed
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """As ``OneTeam.set_state``; in ``agents`` are the robots that take actions then."""
+        """As ``SingleEnvMixin.set_state``; updates ``agents`` to the robots that take actions."""
         super().set_state(state)
         simulator, follow = self.simulator, self.scenario.on_merge == "follow"
         robots = zip(self.possible_agents, simulator.active[0].tolist(), strict=True)
@@ -134,7 +132,7 @@ class BaseParallelEnv(
         self.agents = [] if over else [name for name, active in robots if active or follow]
 
     def _by_name(self, infos: Mapping[str, Any]) -> Infos:
-        """Infos by agent: individual values and those of the team."""
+        """Infos by agent: values of the robot and of the environment."""
         kept = {
             key: values[0]
             for key, values in infos.items()
@@ -169,7 +167,7 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
     names = names_of(len(merged_into))
     for name in actions:
         if name not in names:
-            raise KeyError(f"{short_repr(name)} is no robot of this team: {names}")
+            raise KeyError(f"{short_repr(name)} is no robot of this environment: {names}")
         if name not in alive:
             survivor = names[merged_into[names.index(name)]]
             why = "has ended" if survivor == name else f"has merged into {survivor}"
@@ -189,7 +187,7 @@ def table_of(
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
     if simulator.scenario.pads_actions:
         return _padded_table(actions, alive, simulator)
-    try:  # all at once; one by one only to find out what is wrong with them
+    try:  # all at once; individually only to locate an error
         listed = np.array([actions[name] for name in alive])
         if listed.dtype != np.float32:
             listed = floats("actions", listed, np.float32)

@@ -1,4 +1,4 @@
-"""Gymnasium factories: vector environments, and one team as a single agent."""
+"""Gymnasium factories: vector environments, and one agent that controls all robots."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -34,7 +34,7 @@ __all__ = [
 
 
 class RendezvousEnv(SingleEnvMixin, PlainSpec, gymnasium.Env[Any, Any]):
-    """A team of n robots as a single Gymnasium agent.
+    """Gymnasium environment of n robots controlled by a single agent.
 
     Observations (n, rows, d), actions (n, a), the team reward and infos are those of
     ``RendezvousVectorEnv`` without the batch axis and masks.
@@ -73,7 +73,7 @@ class RendezvousEnv(SingleEnvMixin, PlainSpec, gymnasium.Env[Any, Any]):
         over = not simulator.all_running and bool(simulator.ended[0])
         observations, rewards, ends, cuts, infos = self.vector_env.step(table)
         ended = bool(ends[0]), bool(cuts[0])
-        if over:  # one team that stands still stays ended
+        if over:  # an environment that has ended stays so
             met = simulator.status[0] == RENDEZVOUS
             ended = bool(met), not met
         return observations[0], float(rewards[0]), *ended, of_first_env(infos)
@@ -127,19 +127,19 @@ def make_heading_vec(
 
 
 def make_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
-    """A team as a single agent; arguments and errors as ``make_vec``."""
+    """Single-agent environment; arguments and errors as ``make_vec``."""
     check_single_env(arguments, "gymnasium.make_vec or rendezvous_env.make_vec")
     return RendezvousEnv(make_vec(scenario, **SINGLE_ENV | arguments))
 
 
 def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
-    """A team as a single agent with heading vectors as actions, as ``make_heading_vec``."""
+    """Single-agent environment with heading vectors as actions, as ``make_heading_vec``."""
     check_single_env(arguments, "gymnasium.make_vec or rendezvous_env.vector.HeadingVectorWrapper")
     return RendezvousEnv(make_heading_vec(scenario, **SINGLE_ENV | arguments))
 
 
 def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) -> RendezvousEnv:
-    """One team of a scenario in plain data (``Scenario.to_plain``), for specs."""
+    """Single-agent environment of a scenario in plain data (``Scenario.to_plain``), for specs."""
     return make_env(Scenario.from_plain(scenario), render_mode=render_mode)
 
 

@@ -27,9 +27,11 @@ def training_env(
     render_mode: str | None = None,
     **overrides: Any,
 ) -> TrainingParallelEnv:
-    """One team for a generic learner, as PettingZoo has it: that of
-    ``rendezvous_env.vector.training_env`` with B = 1, by name. Its docstring has all arguments,
-    errors, and what robots see, do and earn. A ValueError for more than one team (``num_envs``).
+    """Create a PettingZoo environment for a generic learner.
+
+    It is that of ``rendezvous_env.vector.training_env`` with B = 1 and agents by name. See there
+    for all arguments, errors, observations, actions and rewards. A ValueError if ``num_envs`` is
+    not 1.
     """
     check_single_env(overrides, "rendezvous_env.vector.training_env")
     vector_env = vector_training_env(
@@ -46,7 +48,7 @@ def training_env(
 
 class TrainingParallelEnv(
     BaseParallelEnv[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
-):  # named, since some libraries look at direct bases alone
+):  # listed, since some libraries inspect direct bases only
     """Training environment with agents by name; see ``training_env``.
 
     The agent set is fixed for an episode: a merged robot observes zeros, its action is ignored, and
@@ -61,9 +63,7 @@ class TrainingParallelEnv(
     metadata = BaseParallelEnv.metadata | {"name": "rendezvous_training_v0"}
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Step with actions of all agents, merged ones included; errors as
-        ``RendezvousParallelEnv.step``.
-        """
+        """Step with actions of all agents; errors as ``RendezvousParallelEnv.step``."""
         if self._is_over(actions):
             return {}, {}, {}, {}, {}
         names = self.agents

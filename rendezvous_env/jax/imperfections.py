@@ -27,7 +27,7 @@ COVERED = ("range", "field_of_view", "noise", "bias", "dropout", "delay", "delay
 
 @replaces(chance.cosine_and_sine)
 def _cosine_and_sine(angle: Any, small: bool) -> Any:
-    """As the kernel, which rounds by adding a large number; XLA leaves that addition out."""
+    """As the kernel, which rounds by adding a large number; XLA removes that addition."""
     near_zero = array_form(chance._near_zero)
     if small:
         return near_zero(angle)

@@ -11,7 +11,7 @@ from .scene import Bools, Floats, outermost
 
 _AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)  # of the eye, in 3-D
 _DISTANCE = 2.6  # of the eye from the middle of a scene, in diagonals of its bounding box
-# of its largest extent that a scene has in every axis, so that a row of robots has a view too
+# minimum extent in every axis, relative to the largest, so that a row of robots has a view too
 _LEAST_SHARE = 0.02
 
 
@@ -79,7 +79,7 @@ class Camera(NamedTuple):
         return moved / (1e-3 * self.nearness(points)[..., None])
 
     def hidden(self, points: Floats, obstacles: Floats) -> Bools:
-        """True if a sphere hides each point (m, d), m, from view, (m,); False in the plane."""
+        """True for points (m, d), m, that a sphere occludes, (m,); False in the plane."""
         spheres = [] if math.isinf(self.distance) else outlines(obstacles, 3)
         if not spheres:
             return np.zeros(len(points), dtype=np.bool_)
@@ -100,7 +100,7 @@ def fit(positions: Floats, obstacles: Floats, area: PixelArea, margin: float) ->
     """
     points = outermost(positions, obstacles)
     low, high = points.min(axis=0), points.max(axis=0)
-    extent = (high - low).max() or 1.0  # of robots that are all in one place
+    extent = (high - low).max() or 1.0  # if all robots are at one position
     lacking = np.maximum(0.0, _LEAST_SHARE * extent - (high - low)) / 2
     low, high = low - lacking, high + lacking
     camera = _view(low, high)

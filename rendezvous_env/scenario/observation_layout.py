@@ -14,7 +14,7 @@ from ..field_repr import repr_of_changes
 ROWS_PER_OBSTACLE = {2: 2, 3: 8}
 """Rows per obstacle by dimension: both edges in the plane, eight boundary rays of its cone in
 3-D."""
-_TYPES = (np.dtype(np.float32), np.dtype(np.float64))  # of numbers that compiled policies take
+_TYPES = (np.dtype(np.float32), np.dtype(np.float64))  # of the arrays that compiled policies accept
 
 
 class ObservedRows(NamedTuple):
@@ -35,16 +35,16 @@ class ObservedRows(NamedTuple):
 class ObservationLayout:
     """Rows of an observation ``(..., rows, d)``: neighbours, obstacles, then gravity or velocity.
 
-    An absent row is zero. In teams of several models the last row is that of each robot's model.
+    An absent row is zero. In mixed teams the last row is that of each robot's model.
     """
 
     dim: int
     """Dimension d, 2 or 3."""
     neighbour_slots: int
-    """K, the most neighbours that a robot can have. With n − 1 each other robot has its own row, in
-    index order; with fewer those present stand first."""
+    """K, the maximum number of neighbours of a robot. With n − 1 each other robot has its own row,
+    in index order; with fewer rows, present neighbours come first."""
     obstacle_slots: int = 0
-    """M, obstacles that an observation has room for."""
+    """M, the number of obstacles in an observation."""
     senses_gravity: bool = False
     """True if the last row is the direction of gravity (3-D nonholonomic robots)."""
     senses_velocity: bool = False
@@ -122,7 +122,7 @@ class ObservationLayout:
         if not isinstance(observations, np.ndarray) or observations.dtype not in _TYPES:
             observations = floats("observations", observations)
         if observations.shape[-2:] != self.shape:
-            wanted = f"(..., {self.rows}, {self.dim}); ``unflattened`` makes these of flat ones"
+            wanted = f"(..., {self.rows}, {self.dim}); ``unflattened`` converts flat ones"
             raise ValueError(
                 f"observations have shape {observations.shape}; this layout needs {wanted}"
             )

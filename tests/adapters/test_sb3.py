@@ -68,7 +68,6 @@ def lived(model, team):
     return advantages, ends
 
 
-@pytest.mark.kernels
 def test_advantages_match_each_robot_alone():
     np.testing.assert_array_equal(SCENARIO.action_bounds, 2.0)
     model = collected(RobotPPO, make_robots(SCENARIO, TEAMS))

@@ -38,12 +38,14 @@ def test_usage_errors_exit_with_status_2(words):
     assert run(*words) == 2
 
 
+@pytest.mark.slow
 def test_output_works_without_unicode_terminal():
     words = "-m", "train.cli", "list", "policies"
     said = run_python(ROOT, *words, PYTHONIOENCODING="ascii").stdout
     assert said.isascii() and r"\u03c9" in said
 
 
+@pytest.mark.slow
 def test_broken_pipe_does_not_stop_command(tmp_path):
     words = "-m train.cli compare --scenarios duo --policies zero --episodes 1 --no-figures"
     words = [sys.executable, *words.split(), "--details", "--out", tmp_path / "out"]
@@ -244,8 +246,8 @@ def test_reproduce_writes_figure_and_data(figure, through, tmp_path):
     ("words", "heavy"),
     [
         ("--help", {"numba", "numpy", "tyro", "torch"}),
-        ("compare --scenarios duo --episodes 2 --no-figures --policies bearing-only random",
-         {"torch", "stable_baselines3", "matplotlib", "pygame"}),
+        slow("compare --scenarios duo --episodes 2 --no-figures --policies bearing-only random",
+             {"torch", "stable_baselines3", "matplotlib", "pygame"}),
         slow("render --out a.png", {"pygame", "torch"}),
         slow("render --size 120 --fps 5 --speed 2 --out a.gif", {"torch", "matplotlib.pyplot"}),
     ],

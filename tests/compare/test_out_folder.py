@@ -222,7 +222,7 @@ class TestRefusals:
         ("file", "said"),
         [
             ("out/notes.txt", "holds 'notes.txt', which compare has not written"),
-            ("out.part/thesis.tex", r"holds no plan\.json"),
+            ("out.part/thesis.tex", r"has no plan\.json"),
         ],
     )
     def test_foreign_files_are_not_removed(self, file, said, tmp_path):
@@ -249,7 +249,7 @@ class TestRefusals:
     def test_unfinished_and_damaged_plans_are_named(self, tmp_path, one_line):
         stopped(config(tmp_path / "out"), 2)
         said = one_line("report", tmp_path / "out")
-        assert f"{part_of(tmp_path / 'out')} is an unfinished one" in said
+        assert f"{part_of(tmp_path / 'out')} is unfinished" in said
         (part_of(tmp_path / "out") / "plan.json").write_text("[" * 100_000)
         with pytest.raises(UserError, match=r"plan\.json: not readable"):
             compare.run(config(tmp_path / "out"))

@@ -67,13 +67,12 @@ class TestRanking:
         (found,) = ranking.rank(pair)
         assert found.best is None and not found.is_contest and found.tied == ()
         assert ranking.answer([found]) == (
-            "Nothing to win: one episode of a random scenario decides nothing; play more with "
-            "--episodes."
+            "No ranking: one episode of a random scenario is not conclusive; use more --episodes."
         )
         text = shown([found], 80)
-        assert "*" not in text and "clutter-8: one episode decides nothing" in text
+        assert "*" not in text and "clutter-8: one episode is not conclusive" in text
         (only,) = ranking.rank(pair[:1])
-        assert only.undecided == "" and "decides" not in shown([only], 80)
+        assert only.undecided == "" and "conclusive" not in shown([only], 80)
 
     def test_nobody_is_best_with_0_per_cent(self):
         pair = [played("clutter-8", name, 0.0) for name in ("tangent", "bearing-only")]
@@ -81,7 +80,7 @@ class TestRanking:
         assert found.best is None and found.tied == () and not found.is_contest
         assert ranking.leaders([found]) == []
         said = ranking.answer([found])
-        assert said == "Nothing to win: no policy met without a collision in any episode."
+        assert said == "No ranking: no policy met without a collision in any episode."
         text = shown([found], 80)
         assert "*" not in text and "=" not in text and "clutter-8: no policy met" in text
 
@@ -122,7 +121,7 @@ class TestRanking:
         nothing = np.full(STARTS, np.nan)
         found = ranking.rank([played("fig3", n, nothing) for n in ("tangent", "bearing-only")])
         assert found[0].best is None and not found[0].is_contest
-        assert "Nothing to win" in ranking.answer(found)
+        assert "No ranking" in ranking.answer(found)
 
 
 class TestAnswer:

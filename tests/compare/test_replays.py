@@ -120,9 +120,7 @@ def test_replay_is_reproduced_from_record(board, tmp_path, capsys):
     assert command.run(replace(RULES, repeat=tmp_path / "cells" / name, record=True)) == 1
     assert "results differ" in capsys.readouterr().err and not (tmp_path / "replays").exists()
     elsewhere = (tmp_path / "cells" / name).rename(tmp_path / "card.json")
-    with pytest.raises(
-        UserError, match=r"card\.json: a replay is kept beside a record of OUT/cells"
-    ):
+    with pytest.raises(UserError, match=r"card\.json: a replay belongs to a record in OUT/cells"):
         command.run(replace(RULES, repeat=elsewhere, record=True))
 
 
@@ -136,13 +134,13 @@ def test_foreign_replay_is_rejected(board, tmp_path):
         if sealed:  # by somebody who means to
             replay["sha256"] = digest({"results": found, "starts": replay["starts"]})
         path.write_text(json.dumps(replay))
-        with pytest.raises(UserError, match=rf"replay\.json: no replay of its record.*{said}"):
+        with pytest.raises(UserError, match=rf"replay\.json: not the replay of its record.*{said}"):
             replays.read_replay(path, found)
 
     refused("of other results", found=card["results"] | {"time": [0.0] * 10})
     refused("changed", starts={"0": good["starts"]["0"] | {"stride": 16}})
     bad = good["starts"]["0"] | {"text": "</script><b>"}
-    refused("no base64", sealed=True, starts={"0": bad})
+    refused("not base64", sealed=True, starts={"0": bad})
     refused("missing 3 required", sealed=True, starts={"0": {"text": "", "fields": []}})
     refused("", sealed=True, starts=[])
     path.write_text("[" * 100_000)

@@ -85,4 +85,4 @@ def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
     share = rows["clutter-4", "privileged-planner"]["collision_free_success"]
     assert float(share) == float(row["collision_free_planner"]) == 1.0
     said = capsys.readouterr().out
-    assert "What can be reached" in said and "knows the map and all positions" in said
+    assert "What can be reached" in said and "with the map and all positions" in said

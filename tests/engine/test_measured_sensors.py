@@ -267,8 +267,11 @@ def test_persistence_without_a_miss_changes_nothing():
         act(sim, step), act(exact, step)
 
 
-@BOTH
-@pytest.mark.kernels
+@pytest.mark.parametrize(
+    "scenario",
+    [pytest.param(PLANE, marks=pytest.mark.kernels), slow(SPACE)],
+    ids=["plane", "space"],
+)
 def test_outliers_are_uniform_directions_of_the_length_of_a_row(scenario):
     sim, exact = simulator(sensing(scenario, outliers=0.25), 400), simulator(scenario, 400)
     rows, true = by_robot(neighbours(sim)), by_robot(neighbours(exact))

@@ -34,7 +34,7 @@ def test_reset_refuses_fields_of_the_scenario_as_options(form):
             env.reset(options={name: 3})
     np.testing.assert_equal(env.unwrapped.simulator.get_state(), before)
     env.reset(options={"minari_autoseed": True, "note": 1})  # of others, ignored
-    with pytest.raises(ValueError, match="'n_robots' is of the scenario"):
+    with pytest.raises(ValueError, match="'n_robots' is a field of the scenario"):
         env.reset(options={"n_robots": None})
 
 
@@ -85,7 +85,7 @@ def test_what_environments_give_out_may_be_written_to(form):
 )
 def test_forms_of_one_team_name_the_vector_form(make, remedy):
     for wrong in (4, 0, "x"):
-        with pytest.raises(ValueError, match=f"num_envs is {wrong!r}; .*for more take {remedy}"):
+        with pytest.raises(ValueError, match=f"num_envs is {wrong!r}; .*for more, use {remedy}"):
             make("duo", num_envs=wrong)
-    with pytest.raises(ValueError, match=r"for more take gymnasium\.make_vec"):
+    with pytest.raises(ValueError, match=r"for more, use gymnasium\.make_vec"):
         gymnasium.make("rendezvous/Rendezvous-v0", num_envs=3)

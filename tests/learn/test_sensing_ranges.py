@@ -64,7 +64,7 @@ class TestRanges:
         assert drawn.delay == 0 and 0.1 <= drawn.delay_time <= 0.2
         drawn = draw(Sensing(delay_time=0.3), {"delay": (1, 3)}, 1.0, (0,))
         assert drawn.delay_time == 0.0 and 1 <= drawn.delay <= 3
-        with pytest.raises(ValueError, match=r"delay and sensing\.delay_time have a range; leave"):
+        with pytest.raises(ValueError, match=r"delay and sensing\.delay_time both have a range"):
             check_ranges({"delay": (1, 2), "delay_time": (0.1, 0.2)}, 0.5)
 
 

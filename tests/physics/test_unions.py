@@ -198,7 +198,7 @@ class TestMotion:
             assert contact and not moved.any()
         assert not move_one_straight((0.0, 0.5), (0.0, 0.0), world(self.WALL), SLIDE)[1]
         assert not clear_of_obstacles((0.0, 0.5, 0.0), world(self.WALL), 0.0)
-        with pytest.raises(ValueError, match=r"robot_0 at .* is between obstacles that leave no"):
+        with pytest.raises(ValueError, match=r"robot_0 at .* is between obstacles without"):
             rv.Scenario(n_robots=2, obstacles=self.WALL, start_positions=[[0, 0.5], [3, 3]])
 
     def test_ignored_obstacles_have_no_seams(self):

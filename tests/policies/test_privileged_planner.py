@@ -87,7 +87,7 @@ class TestWays:
 
     def test_too_many_corners_are_rejected(self):
         discs = [Disc((3.0 * k, 0.0), 1.0) for k in range(300)]
-        with pytest.raises(ValueError, match="4800 corners; ways are planned among 4000 at most"):
+        with pytest.raises(ValueError, match="4800 corners; the planner supports at most 4000"):
             Roadmap(pack(discs, 300), 0.1)
 
     def test_pointed_obstacle_blocks_beyond_bounding_ball(self):

@@ -381,7 +381,7 @@ class TestObservationBuilder:
         ({"obstacles": along(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
         ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(k,\) = \(1,\)"),
-        ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; this scenario's come to D̄ = 3 m/s at"),
+        ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; the maximum in this scenario is D̄ = 3 m/s"),
         ({"weights": [-1.0]}, r"weights\[0\] is -1\.0; it must be positive"),
     ],
 )  # fmt: skip
@@ -403,9 +403,9 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
         ("uav-6", {}, "gravity is None; it must be its direction in the body frame, a unit"),
         ("uav-6", {"gravity": [0, 0, -2.0]}, r"gravity is \[0, 0, -2.0\]; .* a unit vector \(3,\)"),
         ("uav-6", {"gravity": [0, -1.0]}, r"gravity is \[0, -1.0\]; .* a unit vector \(3,\)"),
-        ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be left out"),
+        ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be omitted"),
         ("clutter-3d", {"obstacles": [along(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
-        ("clutter-3d", {"obstacles": [OPPOSITE]}, r"obstacles\[0\] .* rays round a cone"),
+        ("clutter-3d", {"obstacles": [OPPOSITE]}, r"obstacles\[0\] .* rays around a cone"),
     ],
 )  # fmt: skip
 def test_bad_measurements_in_3d_are_named(field, change, message):

@@ -107,11 +107,11 @@ def with_a_replay_of_no_start_of_its_card(folder):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        (lambda folder: shutil.rmtree(folder / "cells"), r"leaderboard\.csv: without its cells"),
-        (lambda folder: os.truncate(folder / TABLE, 0), r"leaderboard\.csv: without its cells"),
-        (with_half_a_row, r"leaderboard\.csv: without its cells"),
+        (lambda folder: shutil.rmtree(folder / "cells"), r"leaderboard\.csv: has no cells"),
+        (lambda folder: os.truncate(folder / TABLE, 0), r"leaderboard\.csv: has no cells"),
+        (with_half_a_row, r"leaderboard\.csv: has no cells"),
         (lambda folder: (folder / TABLE).write_bytes(b"\xff"), r"leaderboard\.csv: not readable: "),
-        (with_a_replay_of_other_results, r"seed-0\.json: no replay of its record \(changed, or of"),
+        (with_a_replay_of_other_results, r"not the replay of its record \(changed, or of"),
         (with_a_replay_of_no_start_of_its_card, r"not readable \(IndexError.* run rendezvous lead"),
     ],
 )

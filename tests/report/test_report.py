@@ -160,7 +160,7 @@ def test_oversized_recordings_are_subsampled_and_stated(compared, monkeypatch):
     thin = [key for key, one in zip(sizes, data["recordings"], strict=True) if one["stride"] > 1]
     assert max(sizes, key=sizes.get) in thin and min(sizes, key=sizes.get) not in thin
     assert min(sizes[key] for key in thin) > budget / len(sizes)
-    assert f"{len(thin)} of 7 recordings are thinned out" in text
+    assert f"{len(thin)} of 7 recordings are subsampled" in text
     assert sum(map(len, blobs)) <= budget
     for entry, blob in zip(data["recordings"], blobs, strict=True):
         recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
@@ -189,8 +189,8 @@ def refused(one_line):
 
 
 def test_missing_folder_is_rejected(tmp_path, refused):
-    assert "there is no such folder" in refused(tmp_path / "nowhere")
-    assert "holds no run.json" in refused(tmp_path)
+    assert "the folder does not exist" in refused(tmp_path / "nowhere")
+    assert "has no run.json" in refused(tmp_path)
 
 
 FILES = ["results.csv", "episodes.csv", "paired.csv", "trajectories.npz"]
@@ -255,7 +255,7 @@ class TestForged:
             ({"seed": "3"}, "not readable (TypeError"),
             ({"policies": ["zero"]}, "not readable (AttributeError"),
             ({"scenarios": {"fig4": {"n_robots": 0}}}, "run.json: a scenario is not readable: n_"),
-            ({"scenarios": {"fig4": {"graph": "mine"}}}, "where a program of your own registers"),
+            ({"scenarios": {"fig4": {"graph": "mine"}}}, "if your program registers"),
             ({"files": FILES[:1]}, "run.json: names no paired.csv"),
             ({"files": [*FILES, "../secret.png"]}, "run.json: names '../secret.png', which com"),
         ],
@@ -325,7 +325,7 @@ class TestFiles:
             path.touch()
             os.truncate(path, 2**40)  # takes no room on the disk
         what = "is not of run" if kind == "large" else "is no file"
-        assert ("holds no run.json" if name == "run.json" else f"{name}: {what}") in refused(folder)
+        assert ("has no run.json" if name == "run.json" else f"{name}: {what}") in refused(folder)
 
 
 @pytest.mark.parametrize(

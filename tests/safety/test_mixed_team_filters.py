@@ -40,10 +40,9 @@ def wrapped(by, scenario, num_envs=4, **settings):
     return WRAPPERS[by](env, **settings)
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("frame", ["local", "net_bearing"])
 @pytest.mark.parametrize("by", FILTERS)
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.kernels)])
 def test_robot_acts_as_in_a_team_of_its_model(by, dim, frame):
     """Bitwise, though robots of both kinds alternate."""
     scenario = team(dim, max_speed=1.0)
@@ -75,7 +74,6 @@ def test_robot_acts_as_in_a_team_of_its_model(by, dim, frame):
         env.filter.observe(observed)
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("by", FILTERS)
 def test_nonholonomic_robots_observe_their_body_frame(by):
     env = wrapped(by, team(), frame="net_bearing")
@@ -87,7 +85,6 @@ def test_nonholonomic_robots_observe_their_body_frame(by):
     assert (f[..., 0] > 0.1).all()
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("kind", ["mixed", "single_integrator"])
 @pytest.mark.parametrize("n_robots", [2, 4, 6])
 def test_rows_of_all_robots_are_shown_with_a_level_behind_them(n_robots, kind):
@@ -101,7 +98,6 @@ def test_rows_of_all_robots_are_shown_with_a_level_behind_them(n_robots, kind):
     np.testing.assert_allclose(shown[..., -1], 0.5 / (scenario.merge_radius * scenario.max_degree))
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize(("by", "dim"), [("heading", 2), ("heading", 3), ("tank", 2)])
 def test_batch_equals_singles(by, dim):
     scenario, random = team(dim), np.random.default_rng(1)
@@ -205,9 +201,9 @@ DOUBLE = ["single_integrator", "unicycle", "double_integrator", "unicycle"]
         (team(), "gains", "that of unicycle robots is v, ω"),
         (team(3), "links", "that of nonholonomic_3d robots is v, ω"),
         (team(graph=rv.graphs.directed_cycle()), "heading", "no theorem on directed graphs"),
-        (team(obstacles=[rv.Disc((0.0, 0.0), 0.3)]), "heading", "obstacles can hold a robot back"),
-        (team(sensing=rv.Sensing(dropout=0.1)), "heading", "neighbours can be out of sight"),
-        (team(activation="random", hold="stop"), "heading", "clocks of their own"),
+        (team(obstacles=[rv.Disc((0.0, 0.0), 0.3)]), "heading", "an obstacle can block a robot"),
+        (team(sensing=rv.Sensing(dropout=0.1)), "heading", "neighbours can be invisible"),
+        (team(activation="random", hold="stop"), "heading", "activation is asynchronous"),
     ],
 )
 def test_certificate_names_the_unmet_assumption(scenario, by, message):
@@ -233,7 +229,6 @@ def trial(by, dim=2, **settings):
     return Trial(scenario, by, {"min_alignment": 0.2, **settings}, seed=4)
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize(("by", "dim"), [("heading", 2), ("heading", 3), ("tank", 2), ("tank", 3)])
 def test_adversaries_violate_no_bound(by, dim):
     played = climb(trial(by, dim))[1]

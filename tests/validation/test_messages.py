@@ -195,9 +195,9 @@ WRONG_OPTIONS = [
     ({"adjacency": 1}, "options: 'adjacency' is not an option; did you mean 'weights'"),
     (
         {"speed_limit": 1},
-        "options: 'speed_limit' is of the scenario.* environment with max_speed=…",
+        "options: 'speed_limit' is a field of the scenario.* environment with max_speed=…",
     ),
-    ({"n_robot": 3}, "options: 'n_robot' is of the scenario.* environment with n_robots=…"),
+    ({"n_robot": 3}, "options: 'n_robot' is a field of the scenario.* environment with n_robots=…"),
     ({"positions": [[HUGE, 0], [0, 0]]}, "positions is .* numbers"),
     ({"positions": DEEP}, "positions is"),
     ({"frames": np.full((2, 2, 2), 1e300)}, "frames of robot_0 is"),

@@ -278,9 +278,9 @@ def one_kind(monkeypatch):
 
 
 def test_no_violation_is_found(tmp_path, one_kind):
-    status, rows, printed = command(tmp_path, trials=60)
+    status, rows, printed = command(tmp_path, trials=30)
     assert status == 0 and printed.count("0 violations") == 1
-    assert sum(int(row["granted"]) for row in rows) > 500
+    assert sum(int(row["granted"]) for row in rows) > 250
     for row in rows:
         assert row["violations"] == "0"
         assert math.isnan(ratio := float(row["worst_time_over_bound"] or "nan")) or ratio <= 1.0
@@ -297,12 +297,12 @@ def test_violations_are_written_with_status_1(tmp_path, monkeypatch, one_kind):
 
 
 @pytest.mark.slow
-def test_thousands_of_random_scenarios_hold(tmp_path):
+def test_a_thousand_random_scenarios_hold(tmp_path):
     """More of them, of all kinds: ``rendezvous verify --random-scenarios``."""
-    status, rows, printed = command(tmp_path, trials=2_500, kinds=8, jobs=None)
+    status, rows, printed = command(tmp_path, trials=1_000, kinds=8, jobs=None)
     assert status == 0, printed
     granted = {row["theorem"]: int(row["granted"]) for row in rows}
-    assert sum(granted.values()) > 1800 and len(granted) > 30
+    assert sum(granted.values()) > 700 and len(granted) > 30
 
 
 @pytest.mark.slow

@@ -132,8 +132,8 @@ def test_run_of_another_version_is_to_be_finished_with_that_version(changes, fie
         before.save("one", 1)
     after = resume.RunCheckpoint(tmp_path / "part", {**now, "seed": seed}, "test")
     message = (
-        f"an unfinished test of other {field}, begun with another version of rendezvous or of its "
-        "packages: finish it with that version, --overwrite to throw it away"
+        f"an unfinished test of other {field}, started with another version of rendezvous or of "
+        "its packages: finish it with that version, --overwrite to discard it"
     )
     with pytest.raises(UserError, match=message), after.at_work(tmp_path, Console(), fresh=False):
         pass

@@ -30,7 +30,7 @@ def _over(ours: str, scenario: rv.Scenario, size: Size, choices: dict[str, Any])
     def build() -> Running:
         make: Any = rv.make_vec if choices else training_env
         env = make(scenario, size.num_envs, num_threads=size.num_threads)
-        return Running(stepping(env).step)  # teams of clutter-8 meet and start again
+        return Running(stepping(env).step)  # environments of clutter-8 meet and are reset
 
     builds = {ours: build} | {
         f"{name} over {ours}": partial(make, scenario, size, choices)

@@ -243,7 +243,7 @@ def _draw(
     """Draw all figures; returns the names of their files."""
     pictures, endings = list(_pictures(found, config)), ("png", "pdf") if config.pdf else ("png",)
     work = partial(_draw_one, folder=part.whole, run=part.run, endings=endings)
-    # on this machine, wherever was played: its files are wanted here
+    # on this machine, since the files are needed here
     drawn = parallel_map(work, pictures, Workers(jobs=config.jobs))
     with console.status("drawing …"), closing(drawn):
         list(drawn)

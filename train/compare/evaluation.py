@@ -72,7 +72,7 @@ class Episodes:
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """(N,), whether an episode succeeded, collision-free where contacts count."""
+        """True for episodes with (collision-free, where contacts count) success, (N,)."""
         return np.where(np.isnan(self.collision_free), self.success, self.collision_free == 1)
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -111,14 +111,14 @@ def play(
             guarantees none.
 
     Raises:
-        UserError: if the scenario has no room for an initial condition.
+        UserError: if no initial condition can be sampled.
     """
     episodes = starts_of(scenario, episodes)
     parts: list[Episodes] = []
     recordings: list[Recording] = []
     for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
-        with user_error(f"{scenario.name}: ", RuntimeError):  # no room for an initial condition
+        with user_error(f"{scenario.name}: ", RuntimeError):  # no initial condition found
             observations = simulator.reset(seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
         exact = is_recomputable(scenario)

@@ -178,8 +178,8 @@ def play_block(
             kept[start] = again.recordings[0]
     if weights is not None and _weights(job.policy, [job.scenario]) != weights:
         raise UserError(
-            f"policy {job.policy!r}: was changed since the comparison began, as a run that still "
-            "trains or a file that is edited; compare a copy of it"
+            f"policy {job.policy!r}: has changed since the comparison began, for example by "
+            "running training or an edit; compare a copy"
         )
     return Played(job, done.episodes, kept, ready)
 

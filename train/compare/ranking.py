@@ -15,7 +15,7 @@ from .statistics import best_policy, collision_free_difference
 
 _MOST_NAMED = 4
 """Maximum number of tied policies named in the summary."""
-ONE_START, NONE_MET = "one episode decides nothing", "no policy met without a collision"
+ONE_START, NONE_MET = "one episode is not conclusive", "no policy met without a collision"
 """Reasons why a scenario has no best policy."""
 
 
@@ -86,7 +86,7 @@ def answer(rankings: Sequence[Ranking]) -> str:
     """One-sentence summary of the leading policies."""
     contests = [ranking for ranking in rankings if ranking.is_contest]
     if not contests:
-        return f"Nothing to win: {_why_undecided(rankings)}."
+        return f"No ranking: {_why_undecided(rankings)}."
     tops, alone = _counts(contests)
     order = leaders(rankings)
     leader = order[0]
@@ -106,7 +106,7 @@ def answer(rankings: Sequence[Ranking]) -> str:
 def _why_undecided(rankings: Sequence[Ranking]) -> str:
     reasons = {ranking.undecided for ranking in rankings}
     if reasons == {ONE_START}:
-        return "one episode of a random scenario decides nothing; play more with --episodes"
+        return "one episode of a random scenario is not conclusive; use more --episodes"
     if reasons == {NONE_MET}:
         return "no policy met without a collision in any episode"
     return "no scenario has two policies that can meet without a collision"

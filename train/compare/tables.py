@@ -183,8 +183,8 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
         )
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):
         yield (
-            f"{', '.join(references)}: reference, knows the map and all positions; what it passes "
-            "without contact is possible"
+            f"{', '.join(references)}: oracle with the map and all positions; its success is an "
+            "upper bound"
         )
     for reason in (ONE_START, NONE_MET):
         if found := [one.scenario for one in rankings if one.undecided == reason]:

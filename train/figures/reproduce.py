@@ -77,7 +77,7 @@ class Config(Flags):
 
 def run(config: Config) -> int:
     """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv."""
-    unused = {} if config.figure == "bounds" else {"page": f"{config.figure} makes no table for it"}
+    unused = {} if config.figure == "bounds" else {"page": f"{config.figure} has no table"}
     if shown := {"tank": TANK_POLICY, "bounds": "random choices"}.get(config.figure):
         unused["policy"] = f"{config.figure} shows {shown} alone"
     check_unused(config, unused)
@@ -153,9 +153,9 @@ def _pixels(config: Config) -> int:
             rows.append(row := pixels.compare(name, config.episodes, config.seed))
         console.print(
             f"{name}: {row['collision_free']:.1%} [{row['low']:.1%}, {row['high']:.1%}] "
-            f"without a contact from pixels, {row['predicted']:.1%} by Sensing.camera(), "
+            f"collision-free from pixels, {row['predicted']:.1%} by Sensing.camera(), "
             f"{row['exact']:.1%} exact; "
-            f"{row['steps_per_core_second']:.0f} steps in a second of a core",
+            f"{row['steps_per_core_second']:.0f} steps per core second",
             soft_wrap=True,
         )
     results.write_csv(path, rows)
@@ -183,7 +183,7 @@ def _tank(config: Config) -> int:
 def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
     """One row per budget and margin, from the same initial conditions starting at a seed."""
     scenario = scenarios.get(TANK_SCENARIO)
-    free = scenario.replace(obstacles=())  # theorem D bounds a team with nothing in its way
+    free = scenario.replace(obstacles=())  # theorem D assumes no obstacles
     for budget, margin in product(BUDGETS, MARGINS):
         options = {"budget": budget, "min_alignment": margin}
         policy = baselines.make(TANK_POLICY, scenario, **options)

@@ -46,8 +46,8 @@ class Protocol(NamedTuple):
 
     fields: tuple[str, ...]
     seeds: int
-    decisions: int  # of single robots, in each cell
-    episodes: int  # held out, in each cell
+    decisions: int  # of single robots, per run
+    episodes: int  # held out, per run
 
 
 _FIELDS = (
@@ -125,9 +125,9 @@ def plan(config: Config) -> list[RunKey]:
                 own, much = (seeds, decisions) if algorithm.learns else (seeds[:1], 0)
                 places += [RunKey(name, field, seed, much, episodes) for seed in own]
     if not places:
-        raise UserError("none of these algorithms fits any of these fields")
+        raise UserError("none of these algorithms fits any of these scenarios")
     if len(set(places)) < len(places):
-        raise UserError("an algorithm, a field or a seed is named twice; name each once")
+        raise UserError("an algorithm, a scenario or a seed is named twice; name each once")
     return places
 
 
@@ -141,12 +141,12 @@ def run(config: Config) -> int:
     if config.repeat is not None:
         return _repeat(config.repeat, config.record, console)
     places, begun = plan(config), any(config.out.glob("cells/*/*.json"))
-    ours = re.compile("cells|replays|" + _TABLES * begun)  # a kill may leave no record yet
+    ours = re.compile("cells|replays|" + _TABLES * begun)  # a killed process may leave no record
     out = out_folder.destination(config.out, "leaderboard", ours.fullmatch)
     lacking = {name: one.missing for name, one in registry.known().items() if one.missing}
     if lacking and not config.algorithms:
         wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
-        console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
+        console.print(f"skipped without {wanted}: {', '.join(lacking)}", soft_wrap=True)
     asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
     part = RunCheckpoint(out_folder.part_of(out), asked, "leaderboard")
     with part.at_work(config.out, console, fresh=config.fresh):
@@ -184,7 +184,7 @@ def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, RunRecord]:
         if len(amounts) > 1:
             each = " and ".join(f"{amount:,}" for amount in sorted(amounts))
             raise UserError(
-                f"--out {out}: {each} {what} do not stand in one table; choose another folder"
+                f"--out {out}: {each} {what} cannot be in one table; choose another folder"
             )
     return kept
 
@@ -224,7 +224,7 @@ def _repeat(path: Path, record: bool, console: Console) -> int:
     again, replay = run_of(place, record)
     differ = [key for key in _SAME if again[key] != card.get(key)]
     if not differ:
-        console.print(f"{place.name}: the same, bit for bit", soft_wrap=True)
+        console.print(f"{place.name}: bitwise equal", soft_wrap=True)
         if kept is not None and replay is not None:
             write_replay(kept, replay)
             console.print(f"its replay: {kept}", soft_wrap=True)

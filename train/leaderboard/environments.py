@@ -78,8 +78,9 @@ def make_training_envs(
     contact_penalty: float | None = None,
     wrap: Callable[[Any], Any] = lambda env: env,
 ) -> TrainingVectorEnv:
-    """B environments with the observations, decisions (an angle every 0.6 s) and rewards of the
-    shipped policies.
+    """Create B environments with observations, decisions and rewards of the shipped policies.
+
+    A decision is an angle every 0.6 s.
 
     Args:
         field: scenario with single integrators in the plane.

@@ -85,7 +85,7 @@ def path_of(card: Path) -> Path:
     """Path of the replay of a run: OUT/replays mirrors OUT/cells; a UserError elsewhere."""
     folders = card.absolute().parents
     if len(folders) < 3 or folders[1].name != "cells":
-        raise UserError(f"{card}: a replay is kept beside a record of OUT/cells/ALGORITHM")
+        raise UserError(f"{card}: a replay belongs to a record in OUT/cells/ALGORITHM")
     return folders[2] / "replays" / folders[0].name / card.name
 
 
@@ -107,9 +107,9 @@ def read_replay(path: Path, found: dict[str, Any]) -> dict[int, Encoded]:
             raise ValueError("changed, or of other results")
         kept = {int(start): Encoded(**one) for start, one in replay["starts"].items()}
         if not all(_TEXT.fullmatch(one.text) for one in kept.values()):
-            raise ValueError("its text is no base64")
+            raise ValueError("its text is not base64")
     except FileNotFoundError:
         return {}
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise UserError(f"{path}: no replay of its record ({error}); remove it") from error
+        raise UserError(f"{path}: not the replay of its record ({error}); remove it") from error
     return kept

@@ -39,7 +39,7 @@ class RunKey(NamedTuple):
     algorithm: str
     field: str  # with version, without namespace
     seed: int
-    decisions: int  # 0 of what does not learn
+    decisions: int  # 0 without training
     episodes: int
 
     @property
@@ -139,9 +139,9 @@ def read_record(path: Path) -> RunRecord:
         numbers = np.array([card["results"][name] for name in _RESULTS], np.float64)
         sound = np.isfinite(numbers) & (numbers >= 0.0)
         if not sound.all() or not (numbers[:2] <= 1.0).all() or not numbers[-1].any():
-            raise ValueError("results that cannot be")
+            raise ValueError("invalid results")
     except (OSError, KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise UserError(f"{path}: no run record of this version ({error})") from error
+        raise UserError(f"{path}: not a run record of this version ({error})") from error
     return card
 
 

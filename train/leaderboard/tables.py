@@ -143,7 +143,7 @@ def draw(out: Path, cards: Sequence[RunRecord], rows: Sequence[Mapping[str, Any]
     """
     from matplotlib import colormaps
 
-    # those from the eleventh on are lighter
+    # lighter from the eleventh on
     colours = [colormaps["tab20"](2 * (k % 10) + (k // 10) % 2) for k in range(len(rows))]
     price, profiles = style.new_figure(style.PAGE, 3.2), style.new_figure(style.PAGE, 3.2)
     marks = {"none": "o", "heading": "s", "tank": "D"}

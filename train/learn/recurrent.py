@@ -25,7 +25,7 @@ class Sequences(NamedTuple):
     observations: Tensor  # (T, S, size)
     starts: Tensor  # (T, S), 1 where an episode began with this decision, else 0
     hidden: Tensor  # (S, units), memory before the first decision
-    kept: Tensor  # (T, S), bool: decisions that are samples; else the robot was merged away
+    kept: Tensor  # (T, S), bool: decisions that are samples; the robot was merged in others
 
 
 class RecurrentNetwork(SplitNetwork):
@@ -39,7 +39,7 @@ class RecurrentNetwork(SplitNetwork):
     hidden: Tensor  # h of every slot, (slots, units); empty before ``begin``
 
     def __init__(self, *arguments: Any, units: int, **settings: Any) -> None:
-        self.units = units  # the layers, which super() builds, need it
+        self.units = units  # needed by the layers that super() builds
         super().__init__(*arguments, **settings)
         self.begin(0)
 

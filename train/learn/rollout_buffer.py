@@ -119,7 +119,7 @@ class RobotPPO(PPO):
     rollout_buffer: RobotRolloutBuffer
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
-        with warnings.catch_warnings():  # our buffer gives batches of nearly equal size
+        with warnings.catch_warnings():  # this buffer makes batches of nearly equal size
             warnings.filterwarnings("ignore", message="You have specified a mini-batch size")
             super().__init__(*arguments, **settings)
 
@@ -142,13 +142,15 @@ class RobotPPO(PPO):
             robots.tell_bootstraps = True
 
     def _update_info_buffer(self, infos: Any, dones: Any = None) -> None:
-        told = [slot for slot, info in enumerate(infos) if info]  # few are
+        told = [slot for slot, info in enumerate(infos) if info]  # few infos have them
         super()._update_info_buffer([infos[slot] for slot in told], dones[told])
 
 
 class HeadingPPO(RobotPPO):
-    """``RobotPPO`` for a ``HeadingNetwork``. Advantages are normalised over an update, not over
-    each batch; target_kl and clip_range_vf have no effect.
+    """``RobotPPO`` for a ``HeadingNetwork``.
+
+    Advantages are normalised over an update, not over each batch; target_kl and clip_range_vf have
+    no effect.
     """
 
     policy: HeadingNetwork

@@ -29,7 +29,7 @@ _WIDEST = 96
 class Detections(NamedTuple):
     """Detections of one camera sweep, in the robot's frame."""
 
-    colours: list[int]  # which lamps are seen whole, by number
+    colours: list[int]  # indices of complete lamps
     bearings: NDArray[np.float64]  # of their middles, (k,), rad
     edges: NDArray[np.float64]  # counter-clockwise and clockwise, of obstacles in range, (m, 2)
 
@@ -120,7 +120,7 @@ class _Ring:
 
 def stretches(there: NDArray[Any]) -> list[NDArray[np.int64]]:
     """Indices of each run of true values in a ring, in order."""
-    start = int(np.argmin(there))  # what is false, if anything
+    start = int(np.argmin(there))  # false values, if any
     order = (np.arange(len(there)) + start) % len(there)
     places = np.flatnonzero(there[order])
     runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)

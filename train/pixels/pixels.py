@@ -51,7 +51,7 @@ class Episode:
     collision_free: bool
     time: float  # simulated, s
     steps: int
-    work: float  # time of a core to draw, look, decide and move, s
+    work: float  # core time for rendering, detection, policy and motion, s
 
     clean = renamed_attribute("clean", "collision_free")
 

@@ -29,7 +29,7 @@ _OUTCOME = (
     "success", "collision_free", "time", "path_length", "contacts", "clearance", "min_alignment",
 )  # fmt: skip
 """Columns of episodes.csv shown with a replay."""
-_NOTHING_KEPT = "No episode was kept (--keep-trajectories 0), so there is nothing to replay."
+_NOTHING_KEPT = "No episode was recorded (--keep-trajectories 0), so there is no replay."
 
 EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 
@@ -68,7 +68,7 @@ def _page_of(folder: Path) -> tuple[str, str]:
         return page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
     except UserError:
         raise
-    except Exception as error:  # its digests were made to fit what the command has not written
+    except Exception as error:  # valid digests, but not written by the command
         what = f"not readable ({type(error).__name__}: {error})"
         raise half_written(folder, what, command) from error
 
@@ -155,8 +155,8 @@ def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
         "Command": shlex.join(run["command_line"]),
         "Versions": ", ".join(f"{name} {version}" for name, version in run["versions"].items()),
         "Machine": f"{run['platform']}, Python {run['python']}",
-        "Tables": "the numbers of results.csv and paired.csv, rounded for the eye; the exact text "
-        "of each cell stands in its data-value, data-low and data-high",
+        "Tables": "the numbers of results.csv and paired.csv, rounded; the exact text of each "
+        "cell is in its data-value, data-low and data-high",
         "Replay": _precision(found, encoded),
     }
     return terms(lines)
@@ -173,8 +173,8 @@ def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
     thin = sum(one.stride > 1 for one in encoded)
     verb = "is" if thin == 1 else "are"
     kept = (
-        f"{thin} of {counted(len(encoded), 'recording')} {verb} thinned out to keep the page "
-        "small (said below them); the others have every recorded frame"
+        f"{thin} of {counted(len(encoded), 'recording')} {verb} subsampled to keep the page small "
+        "(noted below them); the others have every recorded frame"
         if thin
         else "every recorded frame"
     )
@@ -184,5 +184,5 @@ def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
         f"{1000 * half_step('positions'):.2g} mm, "
         f"observation rows to {half_step('observations'):.2g}, frames and alignments to "
         f"{half_step('frames'):.2g}; times and V are 32-bit. Between two frames positions are "
-        "interpolated for the eye, everything else stays that of the frame"
+        "interpolated; everything else is that of the frame"
     )

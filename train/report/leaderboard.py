@@ -34,7 +34,7 @@ def page(folder: Path) -> str:
     whole_rows = all(tuple(row) == tables.COLUMNS and None not in row.values() for row in rows)
     algorithms = sorted({card["algorithm"] for card in found})
     if not found or not whole_rows or sorted(row["algorithm"] for row in rows) != algorithms:
-        raise UserError(f"{path}: without its cells, or of another version; run leaderboard again")
+        raise UserError(f"{path}: has no cells, or is of another version; run leaderboard again")
     drawn = [folder / name for name in _FIGURES if (folder / name).is_file()]
     shown = [_replays(folder, card) for card in found]
     replays = list(chain.from_iterable(shown))
@@ -113,10 +113,10 @@ def _about(found: list[run_records.RunRecord], replays: int) -> str:
         "Seeds": ", ".join(map(str, sorted({card["seed"] for card in found}))),
         "Versions": ", ".join(versions),
         "Replays": f"of {replays} of {counted(len(found), 'run')}: the first held-out initial "
-        "condition, the same for all, and the first that ended otherwise, collision-free or not. "
-        "Each was recorded while the run was played a second time, with the same numbers on all "
-        "initial conditions; a replay that is not of the results in its record is refused. Frames "
-        "are thinned out to keep the folder small, positions rounded to 16 bits",
-        "Again": "rendezvous leaderboard --repeat CARD does a run again and compares it",
+        "condition, equal for all, and the first with the other outcome, collision-free or not. "
+        "Each was recorded in a second run with equal results on all initial conditions; a "
+        "replay of other results is rejected. Frames are subsampled to keep the folder small, "
+        "positions rounded to 16 bits",
+        "Again": "rendezvous leaderboard --repeat RECORD repeats a run and compares it",
     }
     return terms(lines)

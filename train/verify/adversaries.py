@@ -24,8 +24,8 @@ _REST = KINDS.index("rest")
 _FASTEST_SPIN = 20.0  # rad/s
 _ERRORS = ("against", "to one side", "anyhow", "to changing sides", "outward")
 """Directions into which bearings are rotated: away from f, …, away from the mean bearing."""
-_SWITCHING = 7  # steps after which errors turn round
-_ROUNDED = 1.0 - 1e-6  # share of an error that is still none too much after rounding to float32
+_SWITCHING = 7  # steps after which errors change sign
+_ROUNDED = 1.0 - 1e-6  # factor on errors, so that rounding to float32 does not exceed the bound
 _TINY = 1e-12
 
 
@@ -72,7 +72,7 @@ class Adversary:
         if self.turning.all() or not self.turning.any():
             return controls
         desired = self.desired(teams)
-        # numbers that a robot does not have are anything
+        # unused numbers are arbitrary
         padded = np.concatenate([controls, self.blind], axis=-1)[..., : desired.shape[-1]]
         return np.where(self.turning[:, np.newaxis], padded, desired)
 
@@ -109,9 +109,7 @@ class Adversary:
         return np.asarray(self.spin * teams.time[:, None, None])
 
     def controls(self, observations: Float32, teams: BatchMoment) -> Array:
-        """Normalised inputs of nonholonomic robots: away from f, across it, held, random or
-        alternating.
-        """
+        """Normalised inputs of nonholonomic robots: away from f, across, held or random."""
         scenario, layout = self.scenario, self.scenario.observation_layout
         f, gravity = layout.net_bearing(observations), layout.split(observations).gravity
         size = scenario.action_size - (self.by == "heading")
@@ -198,7 +196,7 @@ def turned_rows(rows: Array, towards: Array, errors: Array | float) -> Array:
     Collinear rows rotate sideways; lengths are unchanged.
     """
     ahead, aside = unit(rows), towards
-    for _ in range(2):  # so that rounding leaves none of what is ahead
+    for _ in range(2):  # so that rounding leaves no component ahead
         aside = aside - (aside * ahead).sum(axis=-1, keepdims=True) * ahead
     least = np.eye(rows.shape[-1])[np.argmin(np.abs(ahead), axis=-1)]
     aside = unit(np.where(lengths(aside) < 1e-9, across(ahead, least), aside))

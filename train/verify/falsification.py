@@ -38,14 +38,14 @@ Policy = Callable[[Any, BatchMoment], Any]
 
 TEAMS = 24
 """Number of environments per trial, divided evenly between initial conditions."""
-MAX_STEPS = 400  # steps for which a time bound is waited for
+MAX_STEPS = 400  # maximum number of steps to a time bound
 MAX_MEAN_STEPS = 1000
 """Steps for which environments are simulated until they meet, if a mean time is bounded."""
 PATIENT_STEPS = 1000
 """Steps of a trial of a policy, besides those that a deadlock has to last."""
 FEW_STEPS = 8, 80
 """Minimum and maximum number of steps of trials whose time bound cannot be reached."""
-_PARENTS = 3  # starts from which those of the next generation are made
+_PARENTS = 3  # initial conditions from which the next generation is made
 _LAWS = {"unicycle": "unicycle", "mixed": "by-model", "nonholonomic_3d": "nonholonomic-3d"}
 _HOW = ("by", "arguments", "frame", "period", "seed", "policy", "numbers")
 """Fields of a trial that are written in addition to its scenario."""
@@ -61,11 +61,11 @@ class Violation:
     found: float
     promised: float
     words: str
-    choices: Array = field(repr=False)  # of the team, (steps, n, k)
+    choices: Array = field(repr=False)  # of the environment, (steps, n, k)
 
     def __str__(self) -> str:
         return (
-            f"{self.number} is {self.found:.6g}, promised {self.promised:.6g}, in step {self.step} "
+            f"{self.number} is {self.found:.6g}, bound {self.promised:.6g}, in step {self.step} "
             f"of environment {self.team}: {self.words}"
         )
 
@@ -77,7 +77,7 @@ class Tally:
     trials: int = 0
     seconds: float = 0.0
     steps: int = 0
-    margin: float = math.inf  # of a claim, the worst of its teams; negative is bad, rounding aside
+    margin: float = math.inf  # of a claim, the worst; negative is a violation, up to rounding
     violations: int = 0
     first: int | None = None  # the first batch of a claim with a violation
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -110,8 +110,8 @@ class TrialResult(Tally):
 class Promised(NamedTuple):
     """Bounds of a certificate as numbers that can be violated."""
 
-    limits: dict[str, float]  # by one of NUMBERS; 0 for what each step keeps
-    theorems: dict[str, tuple[str, ...]]  # what each theorem that applies has a part in
+    limits: dict[str, float]  # by one of NUMBERS; 0 for properties of each step
+    theorems: dict[str, tuple[str, ...]]  # numbers of each applicable theorem
     bearing_error: float  # rad
     words: str
 
@@ -175,7 +175,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     arguments |= {"frame": trial.frame, "decision_period": trial.period}
     if trial.by not in ("gains", "policy"):
         arguments["bearing_error"] = bearing_error
-    # what the sensor itself does not do
+    # errors beyond those of the sensor
     seen = Misled(env, scenario, error, trial.seed) if error > scenario.sensing.error else env
     wrapped = guarded(seen, trial.by, arguments)
     options = None
@@ -232,7 +232,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> T
         teams = REPEATED * len(among)
     try:
         wrapped, observations, policy = begin(trial, promised[0].bearing_error, teams)
-    except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
+    except (ValueError, RuntimeError):  # no initial condition, or a wrapper that rejects the robots
         return TrialResult()
     simulator, which = wrapped.unwrapped.simulator, start_of(teams, len(among))
     limits = {
@@ -372,7 +372,7 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
         own = {name: getattr(scenario.sensing, name) for name in scenario.sensing.per_robot}
         of_left: dict[str, Any] = {name: [row[k] for k in left] for name, row in own.items()}
         change["sensing"] = replace(scenario.sensing, **of_left)
-        with suppress(ValueError):  # nobody left to see
+        with suppress(ValueError):  # no neighbour left
             if graph.kind in ("edges", "directed"):
                 made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix
                 change["graph"] = made(graph.base_weights(n)[np.ix_(left, left)])
@@ -380,7 +380,7 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
 
 
 def _rounder(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
-    """Links of one weight, and places with few digits."""
+    """Links of equal weights, and positions with few digits."""
     graph, n = scenario.sensing_graph, scenario.n_robots
     if graph.kind != "complete":
         yield {"graph": rv.graphs.complete()}

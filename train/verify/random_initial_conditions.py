@@ -17,7 +17,7 @@ from rendezvous_env.obstacles.shape import CENTRE
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-STRIDES = (1e-3, 3.0)  # by how much a start is changed, in units of r
+STRIDES = (1e-3, 3.0)  # size of changes of initial positions, in units of r
 
 
 def log_uniform(random: Random, low: float, high: float) -> float:
@@ -30,7 +30,7 @@ def pick(random: Random, *options: Any) -> Any:
     return options[int(random.integers(len(options)))]
 
 
-# Places (n, d), m, of robots whose links are r or ``reach``, m, or anything in between.
+# Positions (n, d), m, of robots with links from r to ``reach``, m.
 
 
 def _in_box(random: Random, n: int, dim: int, r: float, reach: float) -> Array:

@@ -15,7 +15,7 @@ from ..arrays.array_form import Array, array_form, select, square_root
 
 
 class LastObservation(NamedTuple):
-    """The last observation, as far as actions depend on it."""
+    """Last observation, as far as actions depend on it."""
 
     frames: Array  # (n, d, d, *batch), of the policy; columns are axes in the robot's frame
     net_bearing: Array  # (n, d, *batch), f, m/s

@@ -44,7 +44,7 @@ class Account(NamedTuple):
     degree: Array  # D, m/s
     strength: Array  # ‖f‖, m/s
     scale: Array  # s of theorem D
-    owed: Array  # decrease of V that a step must promise, m²/s
+    owed: Array  # required decrease of V in a step, m²/s
     error: Any  # e, the error of f, m/s; 0.0 where bearings are exact
 
 

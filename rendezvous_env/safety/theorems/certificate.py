@@ -111,19 +111,19 @@ class Certificate:
 
     def __str__(self) -> str:
         """Summary of the guarantee: bounds, and comparison with the time limit of episodes."""
-        promises, free = self.promises.items(), " in motion without a contact"
+        promises, free = self.promises.items(), " in motion without contact"
         free *= self.contact_possible
         known = [(name, at_most(bound)) for name, bound in promises if name in _KEPT]
         kept = [_KEPT[name].format(bound, free) for name, bound in known]
         hears = self.by in ("heading", "tank", "links")
         if kept and hears and self.bearing_error > 0:
-            kept.append(f"all of this with bearing_error={self.bearing_error} in the wrapper")
+            kept.append(f"these bounds hold with bearing_error={self.bearing_error} in the wrapper")
         if self.tolerated_bearing_error > 0:
             told = ", with that bearing_error in the wrapper" * hears
             error = at_least(self.tolerated_bearing_error, 3)
             kept.append(f"bearings may err by up to {error} rad, minus rounding{told}")
         first = f"{self.scenario} under {self.policy or CHOICES[self.by]}: {self.theorem}"
-        numbers = "; ".join(kept) or "No other number is promised."
+        numbers = "; ".join(kept) or "There are no other bounds."
         return f"{first}\n{numbers}\n{self._by_when()}"
 
     def _by_when(self) -> str:
@@ -132,7 +132,7 @@ class Certificate:
         bound, limit, followed = self.time_bound, self.time_limit, self.continuous_time_bound
         if math.isinf(bound):
             known = "without a bound" if math.isinf(followed) else f"bound {at_most(followed)} s"
-            return f"Proven in continuous time only, {known}: of held inputs nothing is said."
+            return f"Proven in continuous time only, {known}: not with zero-order hold."
         if bound <= limit:
             return f"Bound {at_most(bound)} s, within the limit of {limit:.4g} s."
         return (
@@ -203,7 +203,7 @@ def certificate(
         return answer(scenario, question(scenario, by, given, bearing_error))[0]
     for name, value in (given | {"by": by, "bearing_error": bearing_error}).items():
         if value != (usual := getattr(LAW, name) if name in given else _UNASKED[name]):
-            raise_invalid(name, value, f"{usual} with a policy, which has settings of its own")
+            raise_invalid(name, value, f"{usual} with a policy, which has its own settings")
     return of_policy(scenario, policy)
 
 

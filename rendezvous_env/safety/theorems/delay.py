@@ -1,4 +1,4 @@
-"""Theorems E1 and E3: law (1) on bearings of the past, delayed or held by clocks of the robots.
+"""Theorems E1 and E3: law (1) with delayed bearings, or with commands held by the robots' clocks.
 
 **E1.** Fixed, undirected, connected graph; law (1) with exact bearings delayed by k steps, or by at
 most k if robots differ, (k+1) τ ≤ r/(2D̄), also at merges; single integrators with fixed frames; no
@@ -44,8 +44,8 @@ def small_delay(scenario: Scenario, asked: Asked) -> str:
     if age <= oldest * (1 + 1e-12):
         return ""
     return (
-        f"none: late and held, bearings are up to {age:.4g} s old, and theorem E1 needs no more "
-        f"than r/(2D̄) = {oldest:.4g} s"
+        f"none: delayed and held bearings are up to {age:.4g} s old, and theorem E1 needs at most "
+        f"r/(2D̄) = {oldest:.4g} s"
     )
 
 
@@ -59,7 +59,7 @@ def bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
     most_late = "up to " * bool({"delay", "delay_time"} & {*scenario.sensing.per_robot})
     steps = f"{most_late}{counted(late, 'step')}"
-    words = f"theorem E1: law (1) meets in finite time on bearings {steps} late"
+    words = f"theorem E1: law (1) meets in finite time with bearings delayed by {steps}"
     return TheoremBounds(words, meets=True, time=time, lyapunov=most)
 
 
@@ -81,7 +81,7 @@ def drawn_activation(scenario: Scenario, asked: Asked) -> str:
     """Robots are active at random."""
     if scenario.activation.kind == "random":
         return ""
-    return "none: the mean time is known of random activation alone"
+    return "none: the mean time is known for random activation only"
 
 
 def longest_held_step(scenario: Scenario) -> float:
@@ -120,7 +120,7 @@ def held_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
 
 
 def stopped_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
-    """Bounds of E3 on the time and on V, where robots that are not active stand still."""
+    """Bounds of E3 on the time and on V, if inactive robots do not move."""
     k, most = scenario.activation.longest_wait, float(known.lyapunov_bound(scenario))
     slow = 1.0 / math.sqrt(known.scale_bound(scenario))
     slow += _degree_of_step(scenario) * math.sqrt(k - 1.0)

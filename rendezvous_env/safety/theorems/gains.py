@@ -11,12 +11,11 @@ over τ, τ C < r (D1):
     T ≤ L0/(c k K(n)) + (n − 1) τ,       k = (r − τC)/(r − τC + 2τc),
     K(n) = 2n (1 − cos(π/n)),   in 3-D nπ (sin φ − φ cos φ) with φ = π/n,
 
-and with a leader that of n − 1 robots in the directions within 75° of one, times 0.78.
+and with a stationary root that of n − 1 robots in the directions within 75° of one, times 0.78.
 
 For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart. Any
-robots may stand still in it. L0 includes the growth in other steps.
-A robot that crashes is a stationary root from then on, on an undirected graph too.
-Proof: docs/proofs.md, G and D1.
+robots may rest in it. L0 includes the growth in other steps. A robot that crashes is a stationary
+root from then on, on an undirected graph too. Proof: docs/proofs.md, G and D1.
 """
 
 import math
@@ -34,7 +33,7 @@ from .theorem import TWO_CRASHED, Asked, Theorem, TheoremBounds
 
 Array = NDArray[np.float64]
 
-_WIDE = 5.0 * np.pi / 12.0  # so far from the direction of another robot a leader still lies deep
+_WIDE = 5.0 * np.pi / 12.0  # maximum angle to another robot's direction at which the root is deep
 _DEEP = 0.78  # times 0.172 sin 75° r, the largest step of the others, is less than cos 75° r/2
 
 
@@ -81,7 +80,7 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
         return gains * min(least, scenario.min_speed_limit), most
     if given.nearest_always_visible(scenario):
-        # behind others all but the nearest may be hidden, and its link may be the lightest
+        # all but the nearest may be occluded, and its link may be the lightest
         gains *= known.lightest_link(scenario)
     elif known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED:
         gains = known.min_degrees(scenario)
@@ -159,7 +158,7 @@ def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> Theorem
 
 _HULL = given.velocity_inputs, given.bounded_errors, given.no_obstacles
 _WITHIN = given.within_neighbours, given.exact_bearings
-_NESTED = *_WITHIN, given.outlasts_rounding  # or robots leave the hull, as far as they like
+_NESTED = *_WITHIN, given.outlasts_rounding  # or robots may leave the hull by any distance
 _SEEN = given.bounded_errors, given.some_neighbour_visible, given.no_obstacles
 _SLOW = "crash", "blind", "slip"
 _CRASHED = one_crash, *given.TEAM, *_SEEN, *_WITHIN

@@ -75,7 +75,7 @@ def detection_of(scenario: Scenario) -> Detection:
 def _detection_by(
     scenario: Scenario, detection: tuple[tuple[float, float], ...], dropout: float, time: float
 ) -> Detection:
-    """``detection_of`` a robot with this table, dropout and time constant of detection, s."""
+    """``detection_of`` a robot with this table, dropout and persistence, s."""
     r, table = scenario.merge_radius, np.array(detection or ((0.0, 1.0),))
     table = table * (1.0, 1.0 - dropout)
     nearest = r * (_NEARER if detection else 1.0)

@@ -74,8 +74,8 @@ def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
     if equal_gains(scenario, asked) is not None and not known.led(scenario):
         return ""
     return (
-        f"none: bearings may err by {asked.error:.4g} rad; theorem N needs gains that add up to "
-        "the same for all robots, all of whom see one"
+        f"none: bearings may err by {asked.error:.4g} rad; theorem N needs equal sums of gains, "
+        "and a visible neighbour of every robot"
     )
 
 
@@ -91,11 +91,11 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     tolerated = max(0.0, float((largest_error(left, dim) - late_by).min()))
     if lost := given.errors_outlasted(scenario, asked, tolerated):
         return TheoremBounds(lost, tolerated_bearing_error=tolerated)
-    if error == 0.0:  # two robots whose bearings are right move on one line
+    if error == 0.0:  # two robots with exact bearings move on one line
         late_by = np.where(left == 2, 0.0, late_by)
     time = float(known.held_time(scenario, extent, shrinking(left, dim, gains, error + late_by)))
     who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
-    words = f"theorem N: {who} meets in finite time although bearings err by {error:.4g} rad"
+    words = f"theorem N: {who} meets in finite time with bearing errors of {error:.4g} rad"
     hull = extent if math.isfinite(time) else math.inf
     return bounds_with_errors(asked, time, tolerated, words, who, hull=hull)
 
@@ -126,7 +126,7 @@ def law_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     rates = 4.0 * known.min_degrees(scenario) ** 2 / left - feigned
     time = known.held_time(scenario, most, rates) if as_it_is else math.inf
     tolerated = tolerated_error(scenario) if as_it_is else 0.0
-    words = f"law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
+    words = f"law (1) meets in finite time with bearing errors of {asked.error:.4g} rad"
     return bounds_with_errors(asked, time, tolerated, f"theorem N1: {words}", "law (1)")
 
 
@@ -164,7 +164,7 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
         "theorem N1': every policy under certified headings that allow for errors of "
         f"{asked.error:.4g} rad meets in finite time"
     ) + " with velocities scaled to the long step" * long
-    who, even_so = "a heading of this margin", "; V still never rises between merges"
+    who, even_so = "a heading of this alignment", "; V still never rises between merges"
     return certified_bounds(scenario, asked, most, each, DEAD_ZONE, words, who, even_so)
 
 

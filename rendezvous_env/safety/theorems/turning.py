@@ -54,8 +54,9 @@ def turns_outlast_rounding(scenario: Scenario, asked: Asked) -> str:
     if turned >= _LEAST_TURN:
         return ""
     return (
-        f"none: a step may turn robots by as little as {turned:.3g} rad, which rounding takes from "
-        f"their angles; it must be {_LEAST_TURN:.3g} rad or more: make time_step or max_turn_rate "
+        f"none: a step may turn robots by as little as {turned:.3g} rad, below the rounding error "
+        f"of their angles; it must be {_LEAST_TURN:.3g} rad or more: make time_step or "
+        "max_turn_rate "
         "larger"
     )
 
@@ -75,13 +76,13 @@ def gate_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     count, fall = gated_window(scenario, asked.min_alignment)
     windows = known.over_rate(known.lyapunov_bound(scenario), fall) + scenario.n_robots
     words = (
-        "theorem T: under the gate robots that turn meet in finite time, whatever turn rates are "
-        "asked for"
+        "theorem T: under the gate nonholonomic robots meet in finite time, for any desired turn "
+        "rates"
     )
     if scenario.mixes_models:
         words = (
             "theorem T, mixed teams: under certified headings and the gate all robots meet in "
-            "finite time, whatever headings and turn rates are asked for"
+            "finite time, for any desired headings and turn rates"
         )
     words += (
         "; the bound is very loose and needs a wrapper that allows "

@@ -159,7 +159,7 @@ class TestFiles:
             ({"guarantee": "tank"}, "size mismatch"),
             ({"perception": 99}, "perception is 99; this version has"),
             ({"colour": "blue"}, "field 'colour' is missing or unknown"),
-            ({"hidden": None}, "is no policy of this version"),
+            ({"hidden": None}, "is not a policy of this version"),
             ({}, r"action_net\.bias must be finite"),
         ],
     )

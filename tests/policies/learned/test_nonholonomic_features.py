@@ -173,7 +173,6 @@ def test_v_plus_tanks_never_increases(scenario, budget, every, least_apart, leas
     assert apart.sum() >= least_apart and rises >= least_rises
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize(
     ("scenario", "kind", "most", "shares"),
     [

@@ -227,7 +227,7 @@ def test_other_robots_are_refused():
         LearnedPolicy(points, weights(SETTINGS, SETTINGS.layout_of(points)), SETTINGS)
     with pytest.raises(UserError, match=r"a network without a filter \(guarantee 'none'\)"):
         ppo.check(ppo.Config(scenario="clutter-4", guarantee="none"))
-    with pytest.raises(UserError, match=r"--clearance is 0\.5; no filter reads it"):
+    with pytest.raises(UserError, match=r"--clearance is 0\.5; no filter uses it"):
         ppo.check(ppo.Config(**SMALL, clearance=0.5))
 
 

@@ -54,14 +54,14 @@ def learn(
     from torchrl.envs.utils import ExplorationType, set_exploration_type
 
     logging.getLogger("torchrl").setLevel(logging.WARNING)
-    torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
+    torch.set_num_threads(1)  # a run is bitwise reproducible, and independent of other cores
     algorithm = getattr(algorithms, f"{name}Config").get_from_yaml()
     vars(algorithm).update(LEARNERS[name])
     network = MlpConfig.get_from_yaml()
     network.num_cells = [64, 64]
     with tempfile.TemporaryDirectory() as folder, redirect_stderr(io.StringIO()):
         config = _experiment(field.n_robots, budget, algorithm.on_policy(), Path(folder))
-        apart = seed * 2**10  # seeds of teams follow on that of their experiment
+        apart = seed * 2**10  # seeds of environments follow that of their experiment
         run = Experiment(task_of(field, safety), algorithm, network, apart, config)
         run.run()
 
@@ -119,8 +119,8 @@ def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) ->
 
 def _algorithm(name: str, safety: Literal["none", "heading"]) -> Algorithm:
     manner = {
-        "none": "on the team's reward alone",
-        "heading": "under certified headings; a first touch costs 1",
+        "none": "with the team reward only",
+        "heading": "under certified headings; a first contact costs 1",
     }
     return Algorithm(
         f"{name.upper()} of BenchMARL {manner[safety]}",

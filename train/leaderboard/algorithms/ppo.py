@@ -51,13 +51,13 @@ def learn(
 
     from ...learn.rollout_buffer import RobotPPO
 
-    torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
+    torch.set_num_threads(1)  # a run is bitwise reproducible, and independent of other cores
     paid = Paid(make_training_envs(field, budget.num_envs, anew=True, **safety))
     robots = RobotVecEnv(paid)
     robots.seed(TRAINING_SEEDS + 2**32 * seed)
     rule = multiplier_of(paid, robots, limit) if limit is not None else None
     model = RobotPPO("MlpPolicy", robots, seed=seed, device="cpu", **SETTINGS)
-    model.set_logger(Logger(None, []))  # else it makes a folder for temporary files
+    model.set_logger(Logger(None, []))  # otherwise it creates a temporary folder
     model.learn(budget.decisions, callback=rule)
     told = {key: value for key, value in safety.items() if not callable(value)}
     settings = {**SETTINGS, **told, "limit": limit, "num_envs": budget.num_envs}
@@ -116,10 +116,10 @@ def algorithm(
 
 
 ALGORITHMS = {
-    "ppo-none": algorithm("PPO on the team's reward alone", "none", "none", contact_penalty=0.0),
-    "ppo-penalty": algorithm("PPO; a robot's first touch costs it 1", "penalty", "none"),
+    "ppo-none": algorithm("PPO with the team reward only", "none", "none", contact_penalty=0.0),
+    "ppo-penalty": algorithm("PPO; a robot's first contact costs 1", "penalty", "none"),
     "ppo-lagrangian": algorithm(  # Ray, Achiam & Amodei 2019, with one critic
-        "PPO-Lagrangian: touches cost λ, which grows while an episode has more than 0.1 of them",
+        "PPO-Lagrangian: contacts cost λ, which grows while an episode has more than 0.1 of them",
         "Lagrangian",
         "none",
         contact_penalty=0.0,
@@ -131,9 +131,9 @@ ALGORITHMS = {
         "rule",
     ),
     "ppo-heading": algorithm(
-        "PPO under certified headings; a first touch costs 1", "heading", "heading"
+        "PPO under certified headings; a first contact costs 1", "heading", "heading"
     ),
     "ppo-tank": algorithm(
-        "PPO under energy tanks of the shipped budget; a first touch costs 1", "tank", "tank"
+        "PPO under energy tanks of the shipped budget; a first contact costs 1", "tank", "tank"
     ),
 }

@@ -28,7 +28,7 @@ def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -
         return partial(_player, name, field), {"policy": name}
 
     def fits(field: Scenario) -> bool:
-        # rules that steer unicycles go by no gate, so V may rise
+        # rules for unicycles have no gate, so V may increase
         is_kept = guarantee != "heading" or not field.model.nonholonomic
         return is_kept and name in baselines.names(field)
 
