@@ -113,7 +113,7 @@ def is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
-# A check of one value takes the name of a field and its value, and returns what is kept.
+# A check of one value takes the name of a field and its value, and returns the stored value.
 
 
 def number(
@@ -144,10 +144,16 @@ def edge_lengths(field: str, value: Any) -> float | tuple[float, ...]:
     return edges[0] if len(set(edges)) == 1 else edges
 
 
-def one_or_each(field: str, value: Any, check: Callable[[str, Any], Any], unit: str = "") -> Any:
+def one_or_each(
+    field: str,
+    value: Any,
+    check: Callable[[str, Any], Any],
+    unit: str = "",
+    keeps_lists: bool = False,
+) -> Any:
     """One value for all robots, or a list with one for each, by a check of one value.
 
-    A list of equal values is returned as one value.
+    A list of equal values is returned as one value, unless it ``keeps_lists``.
     """
     if not is_sequence(value):
         return check(field, value)
@@ -156,7 +162,7 @@ def one_or_each(field: str, value: Any, check: Callable[[str, Any], Any], unit: 
             field, value, "one value, or a list of one for each robot" + f", {unit}" * bool(unit)
         )
     each = tuple(check(f"{field}[{robot}]", entry) for robot, entry in enumerate(value))
-    return each[0] if len(each) > 1 and len(set(each)) == 1 else each
+    return each[0] if not keeps_lists and len(each) > 1 and len(set(each)) == 1 else each
 
 
 def check_int(field: str, value: Any, least: int, most: int) -> int:
@@ -220,7 +226,7 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
         raise ValueError(f"{field} is {_unreadable(value) or told}") from error
     if array.dtype.kind not in "fiub":
         raise_invalid(field, value, "numbers, each of them in the range of float64")
-    if np.can_cast(array.dtype, dtype):  # nothing to overflow, and warnings take longest to silence
+    if np.can_cast(array.dtype, dtype):  # cannot overflow, and suppressing warnings is slow
         return array.astype(dtype, copy=False)
     with np.errstate(over="ignore"):
         return array.astype(dtype)

@@ -108,7 +108,7 @@ def load_environments(compiled: Any) -> None:
 
 
 def _mark(context: Any, fndesc: Any, environment: Any, library: Any) -> Any:
-    """Object that stands for a function in numba's tables; Python cannot reach it to call it."""
+    """Placeholder of a function in numba's tables, which Python cannot call."""
     name = fndesc.qualname.split(".")[-1]
     mark = _dynfunc.make_function(
         fndesc.lookup_module(), name, "kernel without entry", 0, environment, (library,)

@@ -244,9 +244,9 @@ def _folder() -> Path | None:
         return found
     found = _temporary()
     warnings.warn(
-        "there is no place for compiled code: neither the package's folder nor ~/.cache, or else "
-        "NUMBA_CACHE_DIR, can be written to; "
-        + (f"it is kept in {found}" if found else "it is not kept, and made anew each time"),
+        "no folder for compiled code is writable: neither the package's folder nor ~/.cache, nor "
+        "NUMBA_CACHE_DIR if set; "
+        + (f"code is cached in {found}" if found else "code is compiled in every process"),
         RuntimeWarning,
         stacklevel=2,
     )

@@ -20,8 +20,8 @@ from ..learned.shipped import NAMES
 from ..policy import AT_PATH
 from ..steering import WITHIN
 from .arrays import Array, divided, parts_of, where
-from .features import FeatureMemory, Motion, features, no_memory
-from .merged_intervals import direction_of, joined_headings
+from .features import FeatureMemory, RecentMotion, features, no_memory
+from .merged_intervals import direction_of, merged_headings
 from .policy import (
     JaxPolicy,
     Memory,
@@ -171,7 +171,7 @@ class Learned(JaxPolicy):
         levels = velocities = None
         if self._has_tank:
             levels, velocities = kept.levels / unit_of_tanks(self.scenario), kept.velocities
-        motion = Motion(kept.headings, velocities, levels, angles[kept.choices])
+        motion = RecentMotion(kept.headings, velocities, levels, angles[kept.choices])
         elapsed = self._period * float(self.scenario.tau)
         shown, remembered = features(
             seen, motion, kept.features, elapsed, robot_of(self.scenario), layout
@@ -196,7 +196,7 @@ class Learned(JaxPolicy):
         f = parts_of(net)
         aside = array_form(rotated)(f, self._angles[kept.choices])[:2]
         rule = settings.clearance, carried, settings.persistence
-        raw = joined_headings(direction_of(aside), seen.obstacles, *rule)
+        raw = merged_headings(direction_of(aside), seen.obstacles, *rule)
         if self._has_tank:
             account = account_of(f, degree, robot)
             law_speed = array_form(scale_of_step)(degree, robot.merge_radius, robot.gate.duration)

@@ -1,4 +1,4 @@
-"""Rules for obstacles in the plane over arrays: the tuned joined rule and the tank rule."""
+"""Rules for obstacles in the plane over arrays: tangent-merged-tuned and tank-merged."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -12,11 +12,11 @@ from rendezvous_env.safety.heading import certify_one, turn_limit
 from rendezvous_env.safety.turning import robot_of
 
 from ..obstacle_rules import tank_policies
-from ..obstacle_rules.merged_silhouettes_2d import TWO_PI
-from ..obstacle_rules.obstacle_avoidance import TunedJoinedPolicy
-from ..obstacle_rules.tank_policies import TankJoinedPolicy
+from ..obstacle_rules.merged_intervals_2d import TWO_PI
+from ..obstacle_rules.obstacle_avoidance import TunedMergedPolicy
+from ..obstacle_rules.tank_policies import TankMergedPolicy
 from .arrays import Array, angle_of, parts_of, select
-from .merged_intervals import Joined, direction_of, joined_headings, joined_interval
+from .merged_intervals import MergedInterval, direction_of, merged_headings, merged_interval
 from .policy import (
     JaxPolicy,
     Memory,
@@ -33,8 +33,8 @@ _combine, _dot, _rotated = map(array_form, (combine, dot, rotated))
 
 
 @dataclass(frozen=True)
-class TunedJoined(JaxPolicy):
-    """As ``TunedJoinedPolicy``: merged intervals, a committed side, certified headings."""
+class TunedMerged(JaxPolicy):
+    """As ``TunedMergedPolicy``: merged intervals, a committed side, certified headings."""
 
     clearance: float  # rad
     persistence: float
@@ -50,7 +50,7 @@ class TunedJoined(JaxPolicy):
         seen, scenario = self.rows_of(observations), self.scenario
         net = sum_of(seen)
         f, carried = parts_of(net), parts_of(memory)
-        raw = joined_headings(
+        raw = merged_headings(
             direction_of(f), seen.obstacles, self.clearance, carried, self.persistence
         )
         limit = array_form(turn_limit)(self.max_turn_rate * scenario.tau)
@@ -61,11 +61,11 @@ class TunedJoined(JaxPolicy):
         return within_limits(velocity, scenario), h
 
 
-@register("tangent-joined-tuned")
-def _tuned(policy: TunedJoinedPolicy) -> JaxPolicy:
-    check_in_plane("tangent-joined-tuned", policy.scenario)
+@register("tangent-merged-tuned")
+def _tuned(policy: TunedMergedPolicy) -> JaxPolicy:
+    check_in_plane("tangent-merged-tuned", policy.scenario)
     limits = policy.min_alignment, policy.max_turn_rate
-    return TunedJoined(policy.scenario, policy._clearance, policy._persistence, *limits)
+    return TunedMerged(policy.scenario, policy._clearance, policy._persistence, *limits)
 
 
 class _Walls(NamedTuple):
@@ -80,8 +80,8 @@ class _Walls(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TankJoined(JaxPolicy):
-    """As ``TankJoinedPolicy``: wall following under an energy tank."""
+class TankMerged(JaxPolicy):
+    """As ``TankMergedPolicy``: wall following under an energy tank."""
 
     budget: float  # m²/s
     min_alignment: float  # ε
@@ -123,11 +123,11 @@ class TankJoined(JaxPolicy):
         self, towards: Any, before: Any, spent: Array, silhouettes: Array, memory: _Walls
     ) -> tuple[Array, Array, _Walls]:
         """``tank_policies._turn``: whether a direction is free, the turn from f, and memory."""
-        joined, held = joined_interval(towards, silhouettes), memory.side
+        joined, held = merged_interval(towards, silhouettes), memory.side
         low, high = joined.low, joined.high
         clear = ~joined.closed & ((low >= self.clearance) | (high <= -self.clearance))
         wall = ~joined.closed & ~clear
-        joined = Joined(*(jnp.where(wall, part, 0.0) for part in joined))
+        joined = MergedInterval(*(jnp.where(wall, part, 0.0) for part in joined))
         nearer = jnp.where(jnp.abs(joined.high) <= jnp.abs(joined.low), 1.0, -1.0)
         turned = jnp.where(spent, -held, held)
         side = jnp.where(wall, jnp.where(held == 0.0, nearer, turned), 0.0)
@@ -144,15 +144,15 @@ class TankJoined(JaxPolicy):
         along = self._along_wall(towards, kept, (edge, gap), silhouettes, side)
         edge, gap = select(jumps, along, (edge, gap))
         turn = jnp.where(wall, edge + side * jnp.minimum(self.clearance, 0.5 * gap), 0.0)
-        kept_side = jnp.where(joined_closed := ~clear & ~wall, held, side)
-        return ~joined_closed, turn, memory._replace(side=kept_side, work=work, patience=patience)
+        kept_side = jnp.where(merged_closed := ~clear & ~wall, held, side)
+        return ~merged_closed, turn, memory._replace(side=kept_side, work=work, patience=patience)
 
     def _along_wall(
         self, towards: Any, kept: Array, otherwise: Any, silhouettes: Array, side: Array
     ) -> Any:
         """``tank_policies._along_wall``: the edge of the wall next to the heading, and the gap."""
         feeler = kept - side * tank_policies._BEHIND_EDGE * self.clearance
-        felt = joined_interval(_rotated(towards, feeler)[:2], silhouettes)
+        felt = merged_interval(_rotated(towards, feeler)[:2], silhouettes)
         (nearest, beyond), (other, before) = _edge(felt, side), _edge(felt, -side)
         far = side * other > 0.0
         nearest = jnp.where(far, other - side * before, nearest)
@@ -179,17 +179,17 @@ class TankJoined(JaxPolicy):
         return velocity, ~enough
 
 
-def _edge(joined: Joined, side: Array) -> tuple[Array, Array]:
+def _edge(joined: MergedInterval, side: Array) -> tuple[Array, Array]:
     """Edge of a merged interval on a side, and the free angle beyond it, rad."""
     upper = side > 0.0
     edge = jnp.where(upper, joined.high, joined.low)
     return edge, jnp.where(upper, joined.gap_above, joined.gap_below)
 
 
-@register("tank-joined")
-def _tank(policy: TankJoinedPolicy) -> JaxPolicy:
-    check_in_plane("tank-joined", policy.scenario)
+@register("tank-merged")
+def _tank(policy: TankMergedPolicy) -> JaxPolicy:
+    check_in_plane("tank-merged", policy.scenario)
     settings = policy._settings
-    return TankJoined(
+    return TankMerged(
         policy.scenario, policy.budget, policy._margin, settings.clearance, settings.patience
     )

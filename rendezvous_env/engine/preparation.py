@@ -29,11 +29,11 @@ from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.start_region import triangles_of
-from ..sensors.effects import Effects, effects_of, kept_share
+from ..sensors.effects import Effects, Redraws, effects_of, kept_share, redraws_of
 from ..sensors.imperfections import Imperfections, Views, imperfections_of, views_of
 from .edge_tables import LinkList
 from .memory import Robot
-from .state import State
+from .state import BatchState
 
 
 class Constants(NamedTuple):
@@ -48,11 +48,11 @@ class Constants(NamedTuple):
     neighbour_slots: int
     reward_weights: tuple[float, ...]
     weighs_clearance: bool  # Whether the reward has a term of clearance
-    all_earn: bool  # Whether merged-away robots earn the team reward, too
-    body_radius: float  # Of robots in one another's way, m; the largest
+    all_earn: bool  # Whether merged robots receive the team reward, too
+    body_radius: float  # Largest body radius, m
     body_radii: NDArray[np.float64]  # Of robots that occlude others, (n,), m
-    packs: bool  # Whether bodies stop where they would touch, instead of merging
-    merges_through: bool  # Whether robots merge where an obstacle is between them
+    packs: bool  # Whether bodies stop at contact, instead of merging
+    merges_through: bool  # Whether robots merge through obstacles
     obstacle_reach: float  # Largest displacement of an obstacle in a step, m
 
 
@@ -66,10 +66,12 @@ class Sensor(NamedTuple):
     """True if the rows of visible neighbours come first, rather than each in its own."""
     effects: Effects | None
     observer_bias: NDArray[np.float64]  # of each robot, (n,), rad
-    detection_kept: float  # of the memory of detection in a step, see ``effects``
-    errors_kept: float  # likewise, of that of noise
+    redraws: Redraws  # of the memory of detection
+    errors_kept: float  # of the memory of noise in a step, see ``effects``
     samples_per_step: float  # 0 without a sample period
-    views: Views | None  # where they differ between robots
+    views: Views | None  # if they differ between robots
+    biases: NDArray[np.float64] | None  # if they differ between robots, (n,), rad
+    delays: NDArray[np.int64]  # of each robot, (n,), steps
 
 
 def robot(scenario: Scenario) -> Robot:
@@ -93,7 +95,7 @@ def speed_limits_of(robot: Robot) -> NDArray[np.float64]:
     return np.asarray(robot.limits[:, column])
 
 
-def sensor(state: State) -> Sensor | None:
+def sensor(state: BatchState) -> Sensor | None:
     """Sensor of a scenario's robots; None if it is exact."""
     scenario, place = state.scenario, state.place
     sensing, tau = scenario.sensing, scenario.tau
@@ -107,10 +109,12 @@ def sensor(state: State) -> Sensor | None:
         packed=place.packed,
         effects=effects_of(sensing, scenario.n_robots),
         observer_bias=sensing.each("observer_bias", scenario.n_robots),
-        detection_kept=kept_share(sensing.persistence, tau),
+        redraws=redraws_of(sensing, scenario.n_robots, tau),
         errors_kept=kept_share(sensing.noise_correlation, tau),
         samples_per_step=tau / sensing.sample_period if sensing.sample_period > 0.0 else 0.0,
         views=views_of(sensing, scenario.n_robots),
+        biases=sensing.each("bias", scenario.n_robots) if "bias" in sensing.per_robot else None,
+        delays=sensing.delays(scenario.n_robots, tau),
     )
 
 
@@ -162,13 +166,13 @@ class StartRules(NamedTuple):
     region: NDArray[np.float64] | None  # Triangles in which positions are sampled, or None
     least_distance: float
     keep_out: float
-    factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
+    factors: tuple[float, float] | None  # The range of factors of given arcs, or None
     reach: float | None
     """For changing links: length up to which links must connect the initial condition, m; inf
     without this requirement. All robots then keep their distance from each other. None: robots
     keep their distance from neighbours only."""
-    graph: GraphRules | None  # None where no episode draws anything of its graph
-    field: Rules | None  # None where no episode draws obstacles
+    graph: GraphRules | None  # None if no part of the graph is sampled
+    field: Rules | None  # None if obstacles are not sampled
 
 
 def start_rules(scenario: Scenario) -> StartRules:
@@ -208,7 +212,7 @@ def _factors(scenario: Scenario) -> tuple[float, float] | None:
 def fixed_links(scenario: Scenario) -> LinkList | None:
     """Links of every episode; None if they are sampled or change.
 
-    Those of a directed graph are still to be multiplied by sampled factors.
+    Those of a directed graph do not yet include sampled factors.
     """
     graph = scenario.sensing_graph
     if graph.changes or (_draws_links(scenario) and not graph.directed):

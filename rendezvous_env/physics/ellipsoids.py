@@ -1,4 +1,4 @@
-"""Least values of convex functions: a minimum is shut in by ellipsoids, each smaller than the last.
+"""Minima of convex functions by the ellipsoid method: ever smaller ellipsoids contain the minimum.
 
     E = {c + B u : ‖u‖ ≤ 1}
 
@@ -27,7 +27,7 @@ def along(axes, g):
 
 @inner_kernel
 def cut(centre, axes, g, share, dim):
-    """The least ellipsoid about what a cut leaves of another, c and B, in 2 or 3 dimensions.
+    """Smallest ellipsoid around the remainder of a cut one, c and B, in 2 or 3 dimensions.
 
     With α = ``share``, 0 ≤ α < 1, of the half width ‖Bᵀg‖ along g, u = Bᵀg/‖Bᵀg‖, n = ``dim``:
 

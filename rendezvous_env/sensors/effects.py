@@ -1,5 +1,6 @@
-"""Effects of measured sensors beyond ``imperfections``: detection by range, correlated errors,
-errors of an observer, outliers. Constants for kernels, and equations.
+"""Effects of measured sensors: detection by range, correlated errors, observer bias, outliers.
+
+Constants for kernels, and equations.
 
 Memories follow a step of τ by a factor k = exp(−τ/T):
 
@@ -25,17 +26,17 @@ _ARCTAN = tuple(
     np.float32(factor)
     for factor in (0.99997726, -0.33262347, 0.19354346, -0.11643287, 0.05265332, -0.01172120)
 )
-"""Of arctan(t)/t, in ascending powers of t² ≤ 1."""
+"""Coefficients of arctan(t)/t, in ascending powers of t² ≤ 1."""
 
 
 class Effects(NamedTuple):
-    """Those of a team's sensors on the rows of neighbours, as kernels take them."""
+    """Effects of a team's sensors on neighbour rows, as kernel constants."""
 
     blind: bool  # whether any robot has a blind zone
     nearest: NDArray[np.float64]  # min_range of each robot, (n,), m
     detects: bool  # whether the probability of detection is drawn here, rather than dropout alone
     remembers: bool  # whether detection has a memory
-    distances: NDArray[np.float64]  # of the table of detection, m
+    distances: NDArray[np.float64]  # of tables of detection, (1 or n, points), m
     chances: NDArray[np.float64]  # likewise, with a dropout that all robots share
     kept: NDArray[np.float64]  # (n,), 1 − dropout where it differs between robots, else 1
     half_fields: NDArray[np.float64]  # (n,), rad; inf for a view without an edge
@@ -50,8 +51,8 @@ class Effects(NamedTuple):
 
 def draws_detection(sensing: Sensing) -> bool:
     """True if detection differs from independent dropout."""
-    measured = bool(sensing.detection) or sensing.view_falloff > 0.0 or sensing.persistence > 0.0
-    return measured or isinstance(sensing.dropout, tuple)
+    measured = bool(sensing.detection) or max(sensing.view_falloff, sensing.largest("persistence"))
+    return bool(measured) or isinstance(sensing.dropout, tuple)
 
 
 def draws_noise(sensing: Sensing) -> bool:
@@ -67,7 +68,7 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     outliers = sensing.each("outliers", n_robots)
     if not (detects or turns) and max(nearest.max(), outliers.max()) == 0.0:
         return None
-    table = np.array(sensing.detection or ((0.0, 1.0),), np.float64)
+    tables = _of_equal_length(sensing.tables(n_robots if "detection" in sensing.per_robot else 1))
     levels = sensing.each("noise", n_robots) if turns else np.zeros(n_robots)
     kept, views = 1.0 - sensing.each("dropout", n_robots), sensing.each("field_of_view", n_robots)
     differs = isinstance(sensing.dropout, tuple)
@@ -75,9 +76,9 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
         blind=bool(nearest.max() > 0.0),
         nearest=nearest,
         detects=detects,
-        remembers=detects and sensing.persistence > 0.0,
-        distances=table[:, 0].copy(),
-        chances=table[:, 1] * (1.0 if differs else kept[0]),
+        remembers=detects and sensing.largest("persistence") > 0.0,
+        distances=tables[:, :, 0].copy(),
+        chances=tables[:, :, 1] * (1.0 if differs else kept[0]),
         kept=kept if differs else np.ones(n_robots),
         half_fields=np.where(views < 2.0 * math.pi, 0.5 * views, math.inf),
         falloff=sensing.view_falloff,
@@ -90,15 +91,44 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     )
 
 
+def _of_equal_length(tables: list[tuple[tuple[float, float], ...]]) -> NDArray[np.float64]:
+    """Tables of detection, (count, points, 2), continued by points of the last probability."""
+    given = [table or ((0.0, 1.0),) for table in tables]
+    points = max(map(len, given))
+    for row, table in enumerate(given):
+        (last, chance), missing = table[-1], points - len(table)
+        given[row] = (*table, *((2.0 * (last + k + 1.0), chance) for k in range(missing)))
+    return np.array(given, np.float64)
+
+
 def kept_share(time_constant: float, tau: float) -> float:
-    """The share k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 without one."""
+    """Factor k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 if T is 0."""
     return math.exp(-tau / time_constant) if time_constant > 0.0 else 0.0
+
+
+class Redraws(NamedTuple):
+    """Words of 32 bits that draw the u of detection anew in a step: those from ``lowest`` on."""
+
+    lowest: NDArray[np.uint32]  # (n,), of each robot, 2³² k
+    scales: NDArray[np.float32]  # (n,), from the rank of a word to u; 0 without a memory
+
+
+def redraws_of(sensing: Sensing, n_robots: int, tau: float) -> Redraws:
+    """Words that draw the memory of detection anew in a step τ, s."""
+    times = sensing.each("persistence", n_robots).tolist()
+    kept = [math.ceil(kept_share(time, tau) * 2.0**32) for time in times]
+    lowest = [min(count, 2**32 - 2**10) for count in kept]
+    scales = [
+        2.0 / (2.0**32 - low) if time else 0.0 for low, time in zip(lowest, times, strict=True)
+    ]
+    return Redraws(np.array(lowest, np.uint32), np.array(scales, np.float32))
 
 
 @inner_kernel(inline="code")
 def share_in_view(offset, frame, half_field, falloff):
-    """By what the edge of the field of view multiplies the probability of detection: the angle to
-    the edge over the width of the border, from 0 to 1.
+    """Factor of the detection probability near the edge of the field of view, from 0 to 1.
+
+    It is the angle to the edge divided by the width of the border.
     """
     x, y, z = triple(to_local(as_float32(frame), as_float32(offset)))
     angle = _angle(x, np.float32(math.sqrt(y * y + z * z)))
@@ -108,7 +138,7 @@ def share_in_view(offset, frame, half_field, falloff):
 
 @inner_kernel(inline="code")
 def as_float32(v):
-    """A pair, triple or frame in float32; a register holds twice as many of these numbers."""
+    """Pair, triple or frame in float32; a register holds twice as many of these numbers."""
     if len(v) == 2:
         return np.float32(v[0]), np.float32(v[1])
     first = np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
@@ -122,8 +152,9 @@ def as_float32(v):
 
 @inner_kernel(inline="code")
 def _angle(x, y):
-    """The angle of (x, y ≥ 0) to the x axis, rad, to 10⁻⁵, without a branch: over lanes of many
-    teams it becomes SIMD.
+    """Angle of (x, y ≥ 0) to the x axis, rad, to 10⁻⁵.
+
+    It has no branch, so loops over lanes become SIMD.
     """
     level = abs(x)
     steep = y > level
@@ -145,7 +176,7 @@ def distance_of(here, there):
 
 @inner_kernel(inline="code")
 def turned_about(row, turn):
-    """A row turned by the rotation of an observer: (cos α, sin α), in 3-D with the unit axis a.
+    """Row rotated by the rotation of an observer: (cos α, sin α), in 3-D with the unit axis a.
 
     g cos α + (a × g) sin α + a (aᵀg)(1 − cos α)
     """

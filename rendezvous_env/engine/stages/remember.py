@@ -1,7 +1,7 @@
-"""The stages that carry the memories of sensors from step to step, and hold rows between samples.
+"""Stages that update the memories of sensors, and hold rows between samples.
 
-Memories, (blocks, 2, count, L) float32, keep this step's numbers and those of the step before, each
-at the parity of its step: to sense a step again leaves them as they are.
+Memories, (blocks, 2, count, L) float32, store the numbers of this step and the previous one, each
+at the parity of its step. Repeating a step leaves them unchanged.
 """
 
 import math
@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
+from ...graphs.edges import pair_index
 from ...physics.random_streams import SENSING, mix, stream_key
 from ...sensors.chance import gaussian, step_key, unit_number
 from ..memory import lane_count, sensed_step
@@ -17,8 +18,8 @@ from .apply_noise import halve
 DETECTED, DRIFTED, OUTLIER, OBSERVER = range(1, 5)
 """Parts of the stream of sensing."""
 _PART = np.uint64(0x9E6C63D0876A9A47)
-_FARTHEST = np.float32(6.34)  # of ``gaussian``; once in 4·10⁹ numbers beyond it
-_ONE_BIT, _MOST = np.uint32(1), np.float32(1.0 - 2.0**-24)
+_FARTHEST = np.float32(6.34)  # of ``gaussian``; one in 4·10⁹ numbers is beyond it
+_ONE_BIT, _MOST, _ZERO = np.uint32(1), np.float32(1.0 - 2.0**-24), np.float32(0.0)
 _ROUNDING = 1e-9  # Share of a sample period by which a step may miss a sample
 
 
@@ -30,7 +31,7 @@ def part_key(key, part):
 
 @inner_kernel
 def part_keys(width, block, moves, part, seeds, episodes, environment, keys):
-    """The keys of a part of the streams of sensing: of the episode, of the step."""
+    """Keys of a part of the sensing streams: of the episode, and of the step."""
     lanes = lane_count(width)
     for lane in range(min(lanes, len(seeds) - block * lanes)):
         key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
@@ -41,7 +42,7 @@ def part_keys(width, block, moves, part, seeds, episodes, environment, keys):
 
 @inner_kernel
 def parities(width, moves, environment, words):
-    """Of every lane the parity of its step, and whether that is the first one of an episode."""
+    """Parity of the step of every lane, and whether it is the first one of an episode."""
     lanes = lane_count(width)
     for lane in range(lanes):
         step = sensed_step(environment, lane, lanes, moves)
@@ -70,38 +71,48 @@ def is_due(width, moves, samples_per_step, environment):
 
 @kernel
 def remember_detection(
-    width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
+    width, first, last, moves, redraws, seeds, episodes, environments, keys, words, memory
 ):
-    """The u of every ordered pair: kept with this probability, else drawn anew. Working memory:
-    keys (2, L), words (3, 4, L).
+    """Update the u of every ordered pair: kept, or sampled again by the observer's ``Redraws``.
+
+    Working memory: keys (2, L), words (3, 4, L).
     """
-    # of the words that draw anew, those from ``low`` on, u is the rank
-    low = np.uint32(min(math.ceil(kept * 2.0**32), 2.0**32 - 2.0**10))
-    scale = np.float32(2.0 / (2.0**32 - float(low)))
+    n = len(redraws.lowest)
     for block in range(first, last):
         part_keys(width, block, moves, DETECTED, seeds, episodes, environments[block], keys)
         parities(width, moves, environments[block], words[0])
         odd, begins = words[0, 0], words[0, 1]
-        for couple in range(memory.shape[2] // 2):
-            halve(width, keys[1], couple, words[1, 0], words[1, 1])
-            for side in range(2):
-                even_step = memory[block, 0, 2 * couple + side]
-                odd_step = memory[block, 1, 2 * couple + side]
-                for lane in range(lane_count(width)):
-                    word, is_odd = words[1, side, lane], odd[lane] != 0
-                    a, b = even_step[lane], odd_step[lane]
-                    rank = np.float32(np.int32(np.uint32(word - low) >> _ONE_BIT)) * scale
-                    now = (a if is_odd else b) if word < low else min(rank, _MOST)
-                    now = unit_number(word) if begins[lane] != 0 else now
-                    even_step[lane] = a if is_odd else now
-                    odd_step[lane] = now if is_odd else b
+        for one in range(n):
+            for other in range(one + 1, n):
+                couple = pair_index(one, other, n)
+                halve(width, keys[1], couple, words[1, 0], words[1, 1])
+                for side in range(2):
+                    observer, number = (other if side else one), 2 * couple + side
+                    low, scale = redraws.lowest[observer], redraws.scales[observer]
+                    kept = memory[block, 0, number], memory[block, 1, number]
+                    _redraw(width, low, scale, words[1, side], odd, begins, kept[0], kept[1])
+
+
+@inner_kernel(inline="code")
+def _redraw(width, low, scale, words, odd, begins, even_step, odd_step):
+    """Keep or redraw the u of an ordered pair in every lane: of the words that draw anew, those
+    from ``low`` on, u is the rank.
+    """
+    for lane in range(lane_count(width)):
+        word, is_odd = words[lane], odd[lane] != 0
+        a, b = even_step[lane], odd_step[lane]
+        rank = np.float32(np.int32(np.uint32(word - low) >> _ONE_BIT)) * scale
+        now = (a if is_odd else b) if word < low else min(rank, _MOST)
+        now = unit_number(word) if (begins[lane] != 0) | (scale == _ZERO) else now
+        even_step[lane] = a if is_odd else now
+        odd_step[lane] = now if is_odd else b
 
 
 @kernel
 def remember_errors(
     width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
 ):
-    """Update the error e of every row: its share and a random part; as ``remember_detection``."""
+    """Update the error e of every row, see ``sensors.effects``; as ``remember_detection``."""
     share, rest = np.float32(kept), np.float32(math.sqrt(1.0 - kept * kept))
     for block in range(first, last):
         part_keys(width, block, moves, DRIFTED, seeds, episodes, environments[block], keys)
