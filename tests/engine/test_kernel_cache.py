@@ -15,7 +15,9 @@ from conftest import ROOT, run_python
 from parameters import slow
 
 from rendezvous_env import compilation, kernel_cache
+from rendezvous_env.engine.memory import transposition
 from rendezvous_env.engine.stages.apply_noise import apply_noise
+from rendezvous_env.engine.stages.write_observations import write_observations
 from rendezvous_env.physics import crossings, random_streams, vectors
 
 KERNEL = "from rendezvous_env.compilation import by_type, kernel\n"
@@ -131,6 +133,13 @@ def test_cache_recompiles_only_dependants_of_an_edit(monkeypatch):
     monkeypatch.setattr(random_streams, "_INCREMENT", np.uint64(1))
     changed = [old != new for old, new in zip(before, contents(), strict=True)]
     assert changed == [True, True, False, False]
+
+
+def test_cache_key_covers_the_code_that_an_intrinsic_generates(monkeypatch):
+    before = list(kernel_cache.content(write_observations))
+    assert list(kernel_cache.content(write_observations)) == before
+    monkeypatch.setattr(transposition, "_HIGH", (3, 2, 7, 6))
+    assert list(kernel_cache.content(write_observations)) != before
 
 
 @pytest.mark.slow
