@@ -340,4 +340,4 @@ class TestModels:
         words = ["export", "--out", tmp_path / "x.onnx", "--policy"]
         said = one_line(*words, f"{__name__}:plain_function")
         assert "the model is a function; an ONNX file is made of a model of stable-bas" in said
-        assert "--standalone robot.py writes" in one_line(*words, "bearing-only")
+        assert "--standalone robot.py" in one_line(*words, "bearing-only")
