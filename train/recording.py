@@ -63,7 +63,7 @@ LINKS = ("weights", "first", "second")
 def is_recomputable(scenario: Scenario) -> bool:
     """True if observations can be recomputed from recorded states.
 
-    This holds for exact sensors that do not fail, fixed links, obstacles that stand still, and
+    This holds for exact sensors that do not fail, fixed links, obstacles that do not move, and
     robot models without further state.
     """
     model = scenario.model

@@ -15,7 +15,7 @@ _IN_LINE = 1e-9  # Sine of the angle between two directions below which they cou
 
 @kernel
 def outward_directions(positions, merged_into, out):
-    """Write unit vectors along ∂L/∂p_i to ``out`` (n, d).
+    """Write unit vectors u_i = ∂L/∂p_i/‖∂L/∂p_i‖ to ``out`` (n, d).
 
     For robots inside the hull, whose motion does not change L, it is the direction away from the
     centroid, or zero. Only active robots count.

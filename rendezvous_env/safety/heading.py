@@ -78,7 +78,7 @@ scale_of_step = kernel(step_scale, inline="code")  # ``step_scale`` of a number,
 
 @kernel
 def turn_limit(max_turn):
-    """The numbers cos γ, sin γ and the squared chord = 4 sin²(γ/2) of a maximum turn γ, rad.
+    """Numbers cos γ, sin γ and squared chord c² = (2 sin(γ/2))² of a maximum turn γ, rad.
 
     The chord is inf from π on (no limit).
     """

@@ -73,7 +73,7 @@ def end_of_run(turning, first, stop):
 
 @inner_kernel(inline="text")
 def lanes_of(work):
-    """Lanes with the given rows, (31, LANES)."""
+    """Lanes with the given rows, (31, LANES), in any unit: vectors are v = rows 3k to 3k + 2."""
     vectors = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15], work[15:18]
     numbers = work[18], work[19], work[20], work[21], work[22], work[23], work[24], work[25]
     rest = work[26], work[27], work[28], work[29], work[30]

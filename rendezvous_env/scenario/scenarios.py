@@ -108,7 +108,7 @@ _HUETTENRAUCH: Fields = {
 #
 #     L' = √3 ε √(1 − ε²) − 6 ε² > 0   for   ε < 1/√13 = 0.277
 #
-# and as the middle goes round, the triangle stays equilateral and L' the same.
+# and as the middle alternates, the triangle stays equilateral and L' the same.
 _PATHS = [[[middle, end] for end in range(3) if end != middle] for middle in range(3)]
 _ROTATING_PATHS: Fields = {
     "n_robots": 3,

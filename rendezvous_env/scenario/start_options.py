@@ -185,11 +185,11 @@ def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
         raise ValueError('obstacles: meeting="pack" does not support obstacles')
     if moves(parsed) or moves(scenario.obstacles):
         raise ValueError(
-            "obstacles: those given to a reset stand still, and replace none that move; put moving "
-            "ones into the scenario"
+            "obstacles: those given to a reset do not move, and replace no moving ones; define "
+            "moving ones in the scenario"
         )
     if not isinstance(parsed, tuple):
-        raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
+        raise ValueError("obstacles: give a list of obstacles; a field belongs in the scenario")
     slots = scenario.obstacle_places
     return pack(parsed, slots, obstacles.row_width(scenario.obstacles))[None]
 

@@ -284,8 +284,8 @@ class TestLabels:
         [
             (("a=zero", "a=random"), "two policies have the label 'a'"),
             (("a=zero", "b=zero"), "policy 'zero' is named twice"),
-            (("learned=zero",), "'learned' is no label"),
-            ((" =zero",), "' ' is no label"),
+            (("learned=zero",), "label 'learned' is invalid"),
+            ((" =zero",), "label ' ' is invalid"),
             (("a=zeero",), "policy 'zeero' is unknown; did you mean 'zero'"),
         ],
     )

@@ -272,7 +272,7 @@ def test_foreign_files_are_not_overwritten(board, tmp_path, monkeypatch):
     """A folder that is not writable is reported before any episode."""
     monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)
     (tmp_path / "README.md").write_text("mine")
-    with pytest.raises(UserError, match=r"holds 'README\.md', which leaderboard has not written"):
+    with pytest.raises(UserError, match=r"contains 'README\.md', which leaderboard did not"):
         command.run(replace(SMALL, out=tmp_path))
     with pytest.raises(UserError, match=r"README\.md: cannot write there: Not a directory"):
         command.run(replace(SMALL, out=tmp_path / "README.md"))

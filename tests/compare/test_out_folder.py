@@ -221,7 +221,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("file", "said"),
         [
-            ("out/notes.txt", "holds 'notes.txt', which compare has not written"),
+            ("out/notes.txt", "contains 'notes.txt', which compare did not write"),
             ("out.part/thesis.tex", r"has no plan\.json"),
         ],
     )

@@ -252,6 +252,7 @@ def test_mixed_models_state_and_files_are_complete(case, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.kernels
 def test_mixed_models_clocks_of_an_adversary_follow_each_model():
     scenario = team("plane", activation=rv.Activation(kind="bounded", max_wait=3))
     for one, other in zip(played(scenario, 1), played(scenario, 5), strict=True):

@@ -376,7 +376,7 @@ def test_moving_survives_files(tmp_path):
 
 
 def test_options_replace_no_moving_obstacles():
-    with pytest.raises(ValueError, match="those given to a reset stand still"):
+    with pytest.raises(ValueError, match="those given to a reset do not move"):
         rv.Simulator(crossing()).reset(0, {"obstacles": [DISC]})
 
 

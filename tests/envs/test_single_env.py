@@ -29,7 +29,7 @@ def test_reset_refuses_fields_of_the_scenario_as_options(form):
     env.reset(seed=0)
     before = env.unwrapped.simulator.get_state()
     for name in {*FIELDS, "max_cycles"} - {*OPTIONS}:
-        message = f"options: '{name}' is (of the scenario.*with {name}=|not an option; did you)"
+        message = f"options: '{name}' is (a field of the.*with {name}=|not an option; did you)"
         with pytest.raises(ValueError, match=message):
             env.reset(options={name: 3})
     np.testing.assert_equal(env.unwrapped.simulator.get_state(), before)

@@ -324,7 +324,7 @@ class TestFiles:
         else:
             path.touch()
             os.truncate(path, 2**40)  # takes no room on the disk
-        what = "is not of run" if kind == "large" else "is no file"
+        what = "is not of run" if kind == "large" else "is not a file"
         assert ("has no run.json" if name == "run.json" else f"{name}: {what}") in refused(folder)
 
 

@@ -185,7 +185,7 @@ def features(n: int, size: Size) -> list[Case]:
 
 
 def many_shapes(num_envs: int, slots: int | None, size: Size) -> list[Case]:
-    """Batched steps beside 2,000 boxes, relative to 20, with all rows or those of the nearest."""
+    """Batched steps with 2,000 boxes, relative to 20, with all rows or only the nearest."""
     own, chosen, rows = size._replace(num_envs=num_envs), {}, "all rows"
     if slots is not None:
         chosen = {"obstacle_slots": slots, "obstacle_overflow": "nearest"}
@@ -198,7 +198,7 @@ def many_shapes(num_envs: int, slots: int | None, size: Size) -> list[Case]:
 
 
 def _among_boxes(count: int, **fields: Any) -> rv.Scenario:
-    """Scenario with random boxes of one density, and robots that move among them without merges."""
+    """Scenario with random boxes of constant density, and robots that do not merge."""
     random, half = np.random.default_rng(0), 5.0 * math.sqrt(count / 20.0)
     boxes = []
     for _ in range(count):

@@ -27,7 +27,8 @@ BUDGET = 20_000
 """Maximum size of the recordings of a run, in characters; longer ones are subsampled."""
 _TEXT = re.compile(r"[\w+/]+=*", re.ASCII)
 Replay = dict[str, Any]
-"""As it lies in OUT/replays: "starts", by number, each an ``Encoded``; and the digest "sha256" of
+"""Contents of a file in OUT/replays: "starts", by number, each an ``Encoded``; and the digest "
+""sha256" of
 them and of the results in its record."""
 
 

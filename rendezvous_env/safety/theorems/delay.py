@@ -85,7 +85,7 @@ def drawn_activation(scenario: Scenario, asked: Asked) -> str:
 
 
 def longest_held_step(scenario: Scenario) -> float:
-    """Longest time step for commands held for up to k steps, θ_k r/(2D̄), s (theorem E3)."""
+    """Longest time step, s, for commands held for up to k steps: θ_k r/(2D̄) (theorem E3)."""
     waits = scenario.activation.longest_wait - 1.0
     return 2.0 / (1.0 + math.sqrt(1.0 + 4.0 * waits**2)) * scenario.certified_step
 
