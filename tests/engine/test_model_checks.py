@@ -103,7 +103,7 @@ BAD_EQUATIONS = {
     "a frame that is none": ({"frame": lambda *_: (2.0, 0.0, 0.0, 2.0)}, {}, "a rotation"),
     "forgets": ({**TURNS, "update": lambda *_: ()}, KEEPS, "update .* 1 finite"),
     "begins with nothing": ({}, KEEPS, "init .* 1 finite"),
-    "goes elsewhere": ({**TURNS, "displacement_at": lambda *_: (9.0, 9.0)}, KEEPS, "_at .* what"),
+    "goes elsewhere": ({**TURNS, "displacement_at": lambda *_: (9.0, 9.0)}, KEEPS, "_at .* result"),
     "negative bend": ({**TURNS, "chord_error_bound": lambda *_: -1.0}, KEEPS, "bound .* 0 or more"),
     "comes back before it goes": ({**TURNS, "period": lambda *_: 0.0}, KEEPS, "period .* positive"),
     "more bent than it says": ({**TURNS, "displacement_at": bent}, KEEPS, "curvature"),

@@ -265,7 +265,7 @@ class TestOutlines:
     def test_too_many_shapes_error_names_count_and_remedy(self, tmp_path):
         pixels = np.where(np.indices((20, 20)).sum(axis=0) % 2, 0, 255)
         path = ros_map(tmp_path, pixels)
-        with pytest.raises(ValueError, match=r"makes 204 shapes, more than max_shapes = 100; make"):
+        with pytest.raises(ValueError, match=r"has 204 shapes, more than max_shapes = 100; make"):
             from_map(path, max_shapes=100)
         assert len(from_map(path, tolerance=1.0, max_shapes=100)) < 100
 
