@@ -1,14 +1,12 @@
 """Compiled code of kernels that only other kernels call.
 
 numba makes machine code of each function and an entry for Python. A kernel called by kernels alone
-needs neither: its bitcode is linked into its callers, which are optimised as a whole and become
-machine code. To optimise it before as well would take a fifth of the time of compiling.
+needs neither: its optimised bitcode is linked into its callers, which become machine code.
 """
 
 from typing import Any
 
 import llvmlite.binding as llvm
-import numba
 from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, _LowerResult, compile_result
@@ -22,15 +20,15 @@ _LIBRARY: Any = JITCodeLibrary
 class InnerLibrary(_LIBRARY):
     """Bitcode to link into other libraries; it never becomes machine code."""
 
-    def finalize(self) -> None:
-        """Link the libraries of all callees.
+    is_inlined = False
+    """True for code that its callers inline: they optimise it, with their constants in it."""
 
-        Code of ``kernel(slp=True)`` is optimised, since callers have another setting.
-        """
+    def finalize(self) -> None:
+        """Link the libraries of all callees; optimise unless callers inline the code."""
         self._raise_if_finalized()
         for library in dict.fromkeys(self._linking_libraries):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-        if numba.config.SLP_VECTORIZE:  # type: ignore[attr-defined]
+        if not self.is_inlined:
             self._optimize_final_module()
         self._finalized = True
 
@@ -51,6 +49,7 @@ class InnerLowering(_LOWERING):
             return bool(super().run_pass(state))
         state.library = InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
+        state.library.is_inlined = state.flags.forceinline
         state.flags.no_compile = True
         super().run_pass(state)
         made = state["cr"]
