@@ -16,9 +16,9 @@ from ..learned import feature_kernels as kernels
 from ..learned.feature_kernels import _turn, _turn_rate
 from ..learned.features import FeatureLayout
 from .arrays import Array, divided, length_of, parts_of, where
+from .filters import account_of
 from .merged_intervals import Joined, direction_of, joined_interval
 from .policy import Rows
-from .tank import account_of
 
 Pair = tuple[Array, ...]
 _angle, _rate = array_form(_turn), array_form(_turn_rate)

@@ -133,12 +133,3 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
             f"{', '.join(_FORMS)}"
         )
     return _FORMS[str(kind)](policy)
-
-
-def check_in_plane(name: str, scenario: Scenario) -> None:
-    """Reject scenarios but those of single integrators in the plane."""
-    if not policies.in_the_plane(scenario):
-        raise NotImplementedError(
-            f"policy {name!r} for {scenario.robot_model} robots in {scenario.dim}-D is not covered "
-            "by JAX; use baselines.make, which supports it"
-        )
