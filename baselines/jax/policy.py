@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from rendezvous_env.checks import short_repr
-from rendezvous_env.jax.arrays.array_form import Array, array_form
+from rendezvous_env.jax.arrays.array_form import Array, array_form, total
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.scenario import Scenario
@@ -76,12 +76,12 @@ class JaxPolicy(ABC):
 
 def sum_of(seen: Rows) -> Array:
     """Net bearing fᵢ, (..., d), m/s."""
-    return jnp.sum(seen.neighbours, axis=-2)
+    return jnp.asarray(total(seen.neighbours, axis=-2))
 
 
 def degree_of(seen: Rows) -> Array:
     """Degree Dᵢ = Σⱼ aᵢⱼ, (...), m/s."""
-    return jnp.sum(length_of(seen.neighbours), axis=-1)
+    return jnp.asarray(total(length_of(seen.neighbours), axis=-1))
 
 
 def scale_of(degree: Array, scenario: Scenario) -> Array:

@@ -24,6 +24,7 @@ from . import random_streams
 from .selection import HELPERS, divided, is_static, rewritten
 
 Array = jax.Array
+_SHORT = 32
 _SELECTING: dict[Any, Callable[..., Any]] = {}
 
 
@@ -168,6 +169,15 @@ def _uniform(key: Any, counter: Any) -> Any:
     if isinstance(key, random_streams.Numbers):
         return key.values[counter]
     return random_streams.uniform(key, counter, jnp.result_type(float))
+
+
+def total(values: Any, axis: int) -> Any:
+    """Sum over an axis; over a short one written out, since XLA fuses no reductions on a CPU."""
+    length = values.shape[axis]
+    if not 0 < length <= _SHORT:
+        return jnp.sum(values, axis=axis)
+    parts = (jax.lax.index_in_dim(values, k, axis, keepdims=False) for k in range(length))
+    return reduce(jnp.add, parts)
 
 
 def select(condition: Any, a: Any, b: Any) -> Any:
