@@ -144,10 +144,16 @@ def edge_lengths(field: str, value: Any) -> float | tuple[float, ...]:
     return edges[0] if len(set(edges)) == 1 else edges
 
 
-def one_or_each(field: str, value: Any, check: Callable[[str, Any], Any], unit: str = "") -> Any:
+def one_or_each(
+    field: str,
+    value: Any,
+    check: Callable[[str, Any], Any],
+    unit: str = "",
+    keeps_lists: bool = False,
+) -> Any:
     """One value for all robots, or a list with one for each, by a check of one value.
 
-    A list of equal values is returned as one value.
+    A list of equal values is returned as one value, unless it ``keeps_lists``.
     """
     if not is_sequence(value):
         return check(field, value)
@@ -156,7 +162,7 @@ def one_or_each(field: str, value: Any, check: Callable[[str, Any], Any], unit: 
             field, value, "one value, or a list of one for each robot" + f", {unit}" * bool(unit)
         )
     each = tuple(check(f"{field}[{robot}]", entry) for robot, entry in enumerate(value))
-    return each[0] if len(each) > 1 and len(set(each)) == 1 else each
+    return each[0] if not keeps_lists and len(each) > 1 and len(set(each)) == 1 else each
 
 
 def check_int(field: str, value: Any, least: int, most: int) -> int:

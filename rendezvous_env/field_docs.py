@@ -146,7 +146,7 @@ def _choice(choices: Iterable[str]) -> str:
     )
 
 
-def _one_or_each(check: Callable[..., Any], unit: str = "") -> str:
+def _one_or_each(check: Callable[..., Any], unit: str = "", keeps_lists: bool = False) -> str:
     return f"{_words_of(check)}, or a list of one for each robot"
 
 

@@ -32,7 +32,7 @@ class Episodes:
         self._rules = start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots
         self._links = None if links is None else as_kept(state.links, [links], n)
-        self._obstacles = state.with_index(fixed_obstacles(state.scenario))
+        self._obstacles = state.share(fixed_obstacles(state.scenario))
         self._unturned = _unturned(state.scenario)
         self._entries: dict[Any, Callable[..., Any]] = {}
 
@@ -239,7 +239,7 @@ class Episodes:
         if obstacles is not None:
             tables = _for_each(obstacles, which)
             given_world = world_of(tables, dim=scenario.dim) if obstacles.size else None
-            world = state.with_index(given_world)
+            world = state.with_index(given_world, which)
         if world:
             state.give(which, **world)
         if state.traffic.size:

@@ -71,7 +71,7 @@ class MemoryLayout:
         """
         sensing, n = self.scenario.sensing, self.scenario.n_robots
         pairs, silhouettes = n * (n - 1), n * self.n_obstacles * self.points
-        remembers = sensing.persistence > 0.0
+        remembers = sensing.largest("persistence") > 0.0
         drifts = draws_noise(sensing) and sensing.noise_correlation > 0.0
         held = self.scenario.observation_layout.obstacles.stop * (sensing.sample_period > 0.0)
         return pairs * remembers, (pairs + silhouettes) * drifts, held
@@ -175,7 +175,8 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     links = n * n if place.one_way else place.n_links * (3 if place.sparse else 1)
     per_obstacle = parsing.row_width(scenario.obstacles) + (5 if place.indexed else 0)
     obstacles = scenario.obstacle_places * per_obstacle
-    state = place.nbytes + 8 * (place.blocks * place.lanes * links + num_envs * obstacles)
+    tables = num_envs + place.indexed
+    state = place.nbytes + 8 * (place.blocks * place.lanes * links + tables * obstacles)
     past = (delay + 1) * n * layout.obstacles.stop * layout.dim if delay else 0
     *kept_numbers, held = place.sensor_memory
     past += 2 * sum(kept_numbers) + n * held * layout.dim

@@ -29,7 +29,7 @@ from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.start_region import triangles_of
-from ..sensors.effects import Effects, effects_of, kept_share
+from ..sensors.effects import Effects, Redraws, effects_of, kept_share, redraws_of
 from ..sensors.imperfections import Imperfections, Views, imperfections_of, views_of
 from .edge_tables import LinkList
 from .memory import Robot
@@ -66,10 +66,12 @@ class Sensor(NamedTuple):
     """True if the rows of visible neighbours come first, rather than each in its own."""
     effects: Effects | None
     observer_bias: NDArray[np.float64]  # of each robot, (n,), rad
-    detection_kept: float  # of the memory of detection in a step, see ``effects``
-    errors_kept: float  # likewise, of that of noise
+    redraws: Redraws  # of the memory of detection
+    errors_kept: float  # of the memory of noise in a step, see ``effects``
     samples_per_step: float  # 0 without a sample period
     views: Views | None  # where they differ between robots
+    biases: NDArray[np.float64] | None  # where they differ between robots, (n,), rad
+    delays: NDArray[np.int64]  # of each robot, (n,), steps
 
 
 def robot(scenario: Scenario) -> Robot:
@@ -107,10 +109,12 @@ def sensor(state: State) -> Sensor | None:
         packed=place.packed,
         effects=effects_of(sensing, scenario.n_robots),
         observer_bias=sensing.each("observer_bias", scenario.n_robots),
-        detection_kept=kept_share(sensing.persistence, tau),
+        redraws=redraws_of(sensing, scenario.n_robots, tau),
         errors_kept=kept_share(sensing.noise_correlation, tau),
         samples_per_step=tau / sensing.sample_period if sensing.sample_period > 0.0 else 0.0,
         views=views_of(sensing, scenario.n_robots),
+        biases=sensing.each("bias", scenario.n_robots) if "bias" in sensing.per_robot else None,
+        delays=sensing.delays(scenario.n_robots, tau),
     )
 
 

@@ -57,11 +57,15 @@ class State:
         """Obstacles that are discs in 2-D, see ``sense_obstacles.sense_discs``."""
         self.discs[:] = np.nan
         table = obstacle_set.pack((), place.n_obstacles, parsing.row_width(self.scenario.obstacles))
-        tables = np.repeat(table[None], self.batch, axis=0)
-        self.obstacles = obstacle_set.world_of(tables, place.only_balls)
+        shared, slots = int(place.indexed), place.n_obstacles
+        tables = np.repeat(table[None], self.batch + shared, axis=0)
+        self.tables = obstacle_set.world_of(tables, place.only_balls)
+        """Obstacles of each environment; with an index, also those of the scenario, last."""
+        own: Any = slice(self.batch)
+        self.obstacles = type(self.tables)(*(array[own] for array in self.tables))
         """Obstacles, with a leading axis B; empty without slots."""
-        self.index = spatial_index.empty(self.batch, place.n_obstacles) if place.indexed else None
-        """Spatial index of many obstacles, or None."""
+        self.index = self._empty_index(len(tables), slots) if place.indexed else None
+        """Spatial index of the tables of many obstacles, or None."""
         self.seed = np.zeros(place.batch, dtype=np.uint64)
         """Seed of each environment, (B,)."""
         self.number = np.full(place.batch, -1)
@@ -181,12 +185,38 @@ class State:
         """Obstacles as tables, (B, M, width), see ``obstacles.obstacle_set``."""
         return obstacle_set.table_of(self.obstacles)
 
-    def with_index(self, world: ObstacleSet | None) -> dict[str, NDArray[Any]]:
-        """Arrays of obstacles with a leading axis, and their index, for ``give``; none for None."""
-        if world is None:
-            return {}
-        index = {} if self.index is None else spatial_index.index_of(world)._asdict()
-        return {**world._asdict(), **index}
+    def _empty_index(self, tables: int, slots: int) -> spatial_index.SpatialIndex:
+        """Index of tables without obstacles, of which all environments have the last."""
+        own = spatial_index.empty(tables, slots)
+        return own._replace(source=np.full(self.batch, tables - 1))
+
+    def share(self, world: ObstacleSet | None) -> dict[str, NDArray[Any]]:
+        """Set the obstacles of the scenario, leading axis 1; returns their arrays for ``give``.
+
+        None for a scenario without fixed obstacles.
+        """
+        if world is None or self.index is None:
+            return {} if world is None else world._asdict()
+        index = spatial_index.index_of(world)
+        for table, given in zip((*self.tables, *self.index[1:]), (*world, *index[1:]), strict=True):
+            table[-1] = given[0]
+        return {**world._asdict(), "source": np.array(self.batch)}
+
+    def with_index(
+        self, world: ObstacleSet | None, which: NDArray[np.int64]
+    ) -> dict[str, NDArray[Any]]:
+        """Arrays of the obstacles of environments, (count or 1, …), for ``give``; none for None."""
+        if world is None or self.index is None:
+            return {} if world is None else world._asdict()
+        kept = [self._are_shared(world, b) for b in range(len(world.kinds))]
+        source = np.where(kept, self.batch, which)
+        index = {} if all(kept) else spatial_index.index_of(world)._asdict()
+        return {**world._asdict(), **index, "source": source}
+
+    def _are_shared(self, world: ObstacleSet, b: int) -> bool:
+        """True if these are the obstacles of the scenario."""
+        pairs = zip(world, self.tables, strict=True)
+        return all(np.array_equal(given[b], table[-1]) for given, table in pairs)
 
     def conditions(self) -> dict[str, NDArray[np.bool_]]:
         """Condition of robots in the last step, (B, n) each, by infos key."""
@@ -249,7 +279,7 @@ class State:
         for name, values in {**{name: state[name] for name in KEPT}, "active": active}.items():
             self._fields[block, EPISODE_FIELDS.index(name), lane] = values
         world = obstacle_set.world_of(state["obstacles"], dim=self.scenario.dim)
-        self.give(self._all, **self.with_index(world))
+        self.give(self._all, **self.with_index(world, self._all))
         if self.place.moving:
             self.obstacles.skins[...] = self.still_skins
         self.lay_out_discs(self._all)

@@ -17,6 +17,7 @@ From the action to the new observation, over the blocks of one thread after anot
     sense_discs, sense_shapes   angular extents of obstacles, clearance
     sense_indexed               instead of both, for many obstacles
     limit_views                 range and field of view that differ between robots
+    turn_by_biases              constant errors that differ between robots
     apply_noise                 range, field of view, random errors
     remember_…                  memories of detection and of noise
     apply_effects               blind zone, detection, errors with a memory, outliers
@@ -70,10 +71,15 @@ from .stages.commands import (
     turn_frames,
 )
 from .stages.conclude import conclude_step
-from .stages.limit_views import limit_views, limit_views_of_silhouettes
 from .stages.move_obstacles import move_obstacles, settle_merged
 from .stages.propose import propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
+from .stages.robot_sensors import (
+    limit_views,
+    limit_views_of_silhouettes,
+    turn_by_biases,
+    turn_silhouettes_by_biases,
+)
 from .stages.sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
 from .stages.sense_obstacles import (
     measure_clearance,
@@ -223,7 +229,7 @@ class StepStages:
                     *blocks,
                     mode,
                     *now,
-                    state.obstacles,
+                    state.tables,
                     state.index,
                     work.near,
                     work.near_listed,
@@ -317,7 +323,7 @@ class StepStages:
         late = _ROWS, _OUTPUT.clearance
         if state.index is not None:
             slots = place.scenario.observation_layout.obstacle_slots
-            near = state.obstacles, state.index
+            near = state.tables, state.index
             lists = work.silhouette, work.near_listed, work.near_distances
             rest = place.neighbours, slots, *given, *near, *lists
             yield sense_indexed, robot.entries, *blocks, *rest, *late
@@ -342,6 +348,8 @@ class StepStages:
         memory, streams = (work.keys, work.words), (state.seed, state.number)
         if sensor.views is not None:
             yield self._limit_views(first, last, sensor, sensor.views, work)
+        if sensor.biases is not None:
+            yield self._turn_by_biases(first, last, moves, sensor, sensor.biases, work)
         if errors.over_lanes:
             given: tuple[Any, ...] = (
                 self._constants.neighbour_slots,
@@ -368,6 +376,21 @@ class StepStages:
         lists = work.listed, work.numbers[0], work.counts
         return limit_views, *shape, views, *given, *lists, _ROWS
 
+    def _turn_by_biases(
+        self,
+        first: int,
+        last: int,
+        moves: bool,
+        sensor: Sensor,
+        biases: NDArray[np.float64],
+        work: Scratch,
+    ) -> tuple[Any, ...]:
+        state, slots = self._state, self._constants.neighbour_slots
+        shape = state.place.width, self._robot.axes, first, last, moves, biases
+        given = slots, sensor.listed, state.links, state.seed, state.number, state.environments
+        lists = work.listed, work.numbers[0], work.counts
+        return turn_by_biases, *shape, *given, *lists, work.keys, work.words[0], _ROWS
+
     def _apply_effects(
         self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
@@ -375,7 +398,7 @@ class StepStages:
         blocks, streams = (first, last, moves), (state.seed, state.number, state.environments)
         memory = work.keys, work.words
         if effects is not None and effects.remembers:
-            given: tuple[Any, ...] = sensor.detection_kept, *streams, *memory, state.detection
+            given: tuple[Any, ...] = sensor.redraws, *streams, *memory, state.detection
             yield remember_detection, state.place.width, *blocks, *given
         if effects is not None and effects.drifts:
             given = sensor.errors_kept, *streams, *memory, state.errors
@@ -441,6 +464,12 @@ class StepStages:
             shape = place.width, self._robot.axes, first, last
             rows = own, points, self._state.batch
             yield limit_views_of_silhouettes, *shape, sensor.views, *rows, _ROWS
+        if sensor.biases is not None:
+            yield from noise(errors._replace(noise=0.0, sectors=0))
+            errors = errors._replace(half_field=math.pi)
+            within = place.width, self._robot.axes, first, last, moves, sensor.biases, own, points
+            now = *streams, state.environments, work.keys, work.words[0]
+            yield turn_silhouettes_by_biases, *within, *now, _ROWS
         turns = effects is not None and effects.turns
         if not turns and sensor.observer_bias.max() == 0.0:
             yield from noise(errors)
@@ -488,7 +517,7 @@ class StepStages:
             given = moves, sensor.samples_per_step, merged, state.environments, state.held
             yield hold_observations, lanes, first, last, *given, seen
         if state.past.shape[1] > 1:
-            given = moves, merged, state.environments, state.past
+            given = moves, sensor.delays, merged, state.environments, state.past
             yield delay_observations, lanes, first, last, *given, seen
 
     def _conclude(self, first: int, last: int) -> tuple[Any, ...]:

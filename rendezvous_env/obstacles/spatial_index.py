@@ -3,6 +3,9 @@
 The groups have about √M shapes each, and a bounding box. A query visits the groups, and the shapes
 of those that are near. It leaves out only shapes that are too far away to matter, so every number
 is bitwise the same with and without an index.
+
+Environments with the obstacles of the scenario share one table of obstacles and one index, which
+then stay in the cache.
 """
 
 import math
@@ -27,11 +30,12 @@ _ROUNDING = 1e-12  # of the largest coordinate
 
 
 class SpatialIndex(NamedTuple):
-    """Index of the obstacles of environments, with a leading axis; G groups of S places."""
+    """Index of T tables of obstacles; G groups of S places."""
 
-    order: NDArray[np.int64]  # (B, G, S), obstacle of each place, −1 for none
-    boxes: NDArray[np.float64]  # (B, G, S, 4), least x and y, largest x and y of each place, m
-    groups: NDArray[np.float64]  # (B, G, 4), of all places of a group
+    source: NDArray[np.int64]  # (B,), table of each environment
+    order: NDArray[np.int64]  # (T, G, S), obstacle of each place, −1 for none
+    boxes: NDArray[np.float64]  # (T, G, S, 4), least x and y, largest x and y of each place, m
+    groups: NDArray[np.float64]  # (T, G, 4), of all places of a group
 
 
 def shape_of(slots: int) -> tuple[int, int]:
@@ -40,17 +44,18 @@ def shape_of(slots: int) -> tuple[int, int]:
     return -(-slots // places), places
 
 
-def empty(batch: int, slots: int) -> SpatialIndex:
-    """Index without obstacles."""
+def empty(tables: int, slots: int) -> SpatialIndex:
+    """Index of tables without obstacles, one for each environment."""
     groups, places = shape_of(slots)
-    boxes, around = np.empty((batch, groups, places, 4)), np.empty((batch, groups, 4))
+    boxes, around = np.empty((tables, groups, places, 4)), np.empty((tables, groups, 4))
     boxes[..., :2], boxes[..., 2:] = np.inf, -np.inf
     around[..., :2], around[..., 2:] = np.inf, -np.inf
-    return SpatialIndex(np.full((batch, groups, places), -1), boxes, around)
+    order = np.full((tables, groups, places), -1)
+    return SpatialIndex(np.arange(tables), order, boxes, around)
 
 
 def index_of(world: ObstacleSet) -> SpatialIndex:
-    """Index of obstacles with a leading axis."""
+    """Index of tables of obstacles, one for each environment."""
     count, slots = world.kinds.shape
     index = empty(count, slots)
     for b in range(count):
@@ -97,12 +102,12 @@ def square_distance(box, point):
 
 
 @inner_kernel
-def gather(world, index, b, point, reach, near, listed):
-    """Copy the obstacles within reach of a point, m, to ``near`` in their order.
+def gather(world, index, table, point, reach, near, listed):
+    """Copy the obstacles of a table within reach of a point, m, to ``near`` in their order.
 
     Returns their number. ``listed``, (M,), is working memory.
     """
-    order, boxes, groups = index.order[b], index.boxes[b], index.groups[b]
+    order, boxes, groups = index.order[table], index.boxes[table], index.groups[table]
     limit, count = reach * reach, 0
     for g in range(groups.shape[0]):
         if not square_distance(groups[g], point) <= limit:
@@ -138,27 +143,38 @@ def _first_of(near, count):
 
 def _within_reach(kind: type) -> Any:
     if kind is type(None):
-        return lambda world, index, b, point, reach, near, listed: world
+        return lambda world, index, table, point, reach, near, listed: world
 
-    def found(world, index, b, point, reach, near, listed):
-        return _first_of(near, gather(world, index, b, point, reach, near, listed))
+    def found(world, index, table, point, reach, near, listed):
+        return _first_of(near, gather(world, index, table, point, reach, near, listed))
 
     return found
 
 
 @by_type("near", _within_reach)
-def obstacles_within(world, index, b, point, reach, near, listed):
-    """Obstacles of environment b within reach of a point, m; all without an index.
+def obstacles_within(world, index, table, point, reach, near, listed):
+    """Obstacles of a table within reach of a point, m; all without an index.
 
     ``near``, a set of M obstacles, is working memory; None without an index. Arguments as
     ``gather``.
     """
 
 
+def _table_of(kind: type) -> Any:
+    if kind is type(None):
+        return lambda index, b: b
+    return lambda index, b: index.source[b]
+
+
+@by_type("index", _table_of)
+def table_of(index, b):
+    """Table with the obstacles of environment b; its own without an index."""
+
+
 @kernel
-def nearest_group(index, b, point):
+def nearest_group(index, table, point):
     """Group with the nearest bounding box."""
-    groups = index.groups[b]
+    groups = index.groups[table]
     nearest, found = np.inf, 0
     for g in range(groups.shape[0]):
         square = square_distance(groups[g], point)

@@ -42,7 +42,17 @@ from .unicycle import body_frame_2d
 MAX_MEMBERS = 3
 """Largest number of different robot models in a team."""
 _OWN_COLUMNS = 5  # of the table of constants, ahead of those of a robot's member
-_Places = tuple[tuple[int, ...], ...]
+
+
+class _Kept(NamedTuple):
+    """Entries of the memory that a model keeps: its angles, then what follows those of the team.
+
+    Only lengths of these tuples count, so that compiled loops know the entries.
+    """
+
+    entries: tuple[int, ...]  # one for each entry that the model keeps
+    own: tuple[int, ...]  # one for each of its angles
+    angles: tuple[int, ...]  # one for each angle of the team
 
 
 class MixedTeam(NamedTuple):
@@ -54,9 +64,9 @@ class MixedTeam(NamedTuple):
     in_global_frame: float  # 1 if frames without angles are the global one, else 0
     is_steady: float  # 1 if no step changes its memory and frame, else 0
     members: tuple[Any, ...]  # constants of each model
-    inputs: _Places  # of each model, its components of an action
-    kept: _Places  # of each model, its entries of the memory
-    angles: tuple[int, ...]  # entries of the memory that are angles
+    inputs: tuple[tuple[int, ...], ...]  # of each model, its components of an action
+    kept: tuple[_Kept, ...]  # of each model, its entries of the memory
+    angles: _Kept  # entries of the memory that are angles
     blank: tuple[float, ...]  # a memory of zeros
     unsensed: tuple[float, ...]  # proprioception of models without any: zeros, or nothing
 
@@ -67,48 +77,74 @@ def _turns(model):
 
 
 @kernel(inline="code")
-def _part(values, places):
-    """Entries of a tuple, at most five."""
-    if len(places) == 0:
+def _leading(values, names):
+    """As many entries of a tuple, from the first on, as another one has, at most three."""
+    if len(names) == 0:
         return ()
-    if len(places) == 1:
-        return (values[places[0]],)
-    if len(places) == 2:
-        return values[places[0]], values[places[1]]
-    if len(places) == 3:
-        return values[places[0]], values[places[1]], values[places[2]]
-    if len(places) == 4:
-        return values[places[0]], values[places[1]], values[places[2]], values[places[3]]
-    first = values[places[0]], values[places[1]], values[places[2]]
-    return (*first, values[places[3]], values[places[4]])
+    if len(names) == 1:
+        return (values[0],)
+    if len(names) == 2:
+        return values[0], values[1]
+    return values[0], values[1], values[2]
 
 
 @kernel(inline="code")
-def _entry(memory, places, values, k):
-    for m in range(len(places)):
-        if places[m] == k:
+def _place(kept, m):
+    """Index in the memory of entry m that a model keeps."""
+    return m if m < len(kept.own) else m + len(kept.angles) - len(kept.own)
+
+
+@kernel(inline="code")
+def _part(memory, kept):
+    """What a model keeps of the memory, at most five numbers."""
+    return _chosen(memory, kept.entries, kept)
+
+
+@kernel(inline="code")
+def _chosen(values, entries, kept):
+    if len(entries) == 0:
+        return ()
+    first = values[_place(kept, 0)]
+    if len(entries) == 1:
+        return (first,)
+    second = values[_place(kept, 1)]
+    if len(entries) == 2:
+        return first, second
+    third = values[_place(kept, 2)]
+    if len(entries) == 3:
+        return first, second, third
+    fourth = values[_place(kept, 3)]
+    if len(entries) == 4:
+        return first, second, third, fourth
+    return first, second, third, fourth, values[_place(kept, 4)]
+
+
+@kernel(inline="code")
+def _entry(memory, kept, values, k):
+    for m in range(len(values)):
+        if _place(kept, m) == k:
             return values[m]
     return memory[k]
 
 
 @kernel(inline="code")
-def _replaced(memory, places, values):
-    """Memory, of at most five numbers, with other values at some places."""
-    if len(places) == 0:
+def _replaced(memory, kept, values):
+    """Memory, of at most five numbers, with other values where a model keeps them."""
+    if len(values) == 0:
         return memory
-    first = _entry(memory, places, values, 0)
+    first = _entry(memory, kept, values, 0)
     if len(memory) == 1:
         return (first,)
-    second = _entry(memory, places, values, 1)
+    second = _entry(memory, kept, values, 1)
     if len(memory) == 2:
         return first, second
-    third = _entry(memory, places, values, 2)
+    third = _entry(memory, kept, values, 2)
     if len(memory) == 3:
         return first, second, third
-    fourth = _entry(memory, places, values, 3)
+    fourth = _entry(memory, kept, values, 3)
     if len(memory) == 4:
         return first, second, third, fourth
-    return first, second, third, fourth, _entry(memory, places, values, 4)
+    return first, second, third, fourth, _entry(memory, kept, values, 4)
 
 
 @kernel(inline="code")
@@ -162,32 +198,32 @@ def _by_member(equation: Any) -> Any:
 @kernel(inline="code")
 def _propose_as(member, inputs, kept, given):
     _, action, frame, memory = given
-    return propose(member, _part(action, inputs), frame, _part(memory, kept))
+    return propose(member, _leading(action, inputs), frame, _part(memory, kept))
 
 
 @kernel(inline="code")
 def _displacement_as(member, inputs, kept, given):
     _, action, frame, memory, time = given
-    return displacement_at(member, _part(action, inputs), frame, _part(memory, kept), time)
+    return displacement_at(member, _leading(action, inputs), frame, _part(memory, kept), time)
 
 
 @kernel(inline="code")
 def _chord_error_bound_as(member, inputs, kept, given):
     _, action, memory = given
-    return chord_error_bound(member, _part(action, inputs), _part(memory, kept))
+    return chord_error_bound(member, _leading(action, inputs), _part(memory, kept))
 
 
 @kernel(inline="code")
 def _period_as(member, inputs, kept, given):
     _, action, memory = given
-    return period(member, _part(action, inputs), _part(memory, kept))
+    return period(member, _leading(action, inputs), _part(memory, kept))
 
 
 @kernel(inline="code")
 def _update_as(member, inputs, kept, given):
     _, action, frame, memory, displacement, contact = given
     own = _part(memory, kept)
-    after = update_memory(member, _part(action, inputs), frame, own, displacement, contact)
+    after = update_memory(member, _leading(action, inputs), frame, own, displacement, contact)
     return _replaced(memory, kept, after)
 
 
@@ -225,7 +261,7 @@ def _or_else(sensed, unsensed):
 @kernel(inline="code")
 def _init_as(member, inputs, kept, given):
     model, key, counter = given
-    angles = _first_angles(model.angles, model.in_global_frame, key, counter)
+    angles = _first_angles(model.angles.own, model.in_global_frame, key, counter)
     turned = _replaced(model.blank, model.angles, angles)
     return _replaced(turned, kept, init_memory(member, key, counter))
 
@@ -287,6 +323,45 @@ def _sense(model, frame, memory):
     return _sense_by(model.members, model.inputs, model.kept, (model, frame, memory))
 
 
+class _Member(NamedTuple):
+    """Constants of a robot of a team whose model is known while its loops are compiled."""
+
+    team: MixedTeam
+    model: Any  # constants of the robot's model
+    inputs: tuple[int, ...]
+    kept: _Kept
+
+
+@kernel(inline="code")
+def _run_with(member, inputs, kept, given):
+    team, run, arguments = given
+    return run(_Member(team, member, inputs, kept), arguments)
+
+
+_run_by = _by_member(_run_with)
+
+
+@kernel(inline="code")
+def _for_member(model, run, given):
+    return _run_by(model.members, model.inputs, model.kept, (model, run, given))
+
+
+@kernel(inline="code")
+def _propose_member(one, action, frame, memory):
+    return _propose_as(one.model, one.inputs, one.kept, (one.team, action, frame, memory))
+
+
+@kernel(inline="code")
+def _update_member(one, action, frame, memory, displacement, contact):
+    given = one.team, action, frame, memory, displacement, contact
+    return _update_as(one.model, one.inputs, one.kept, given)
+
+
+@kernel(inline="code")
+def _frame_member(one, frame, memory):
+    return _frame_as(one.model, one.inputs, one.kept, (one.team, frame, memory))
+
+
 @kernel(inline="code")
 def _is_steady(model):
     return model.is_steady > 0.0
@@ -311,7 +386,9 @@ describe(
     ),
     of_robot=_of_robot,
     is_steady=_is_steady,
+    for_member=_for_member,
 )
+describe(_Member, Motion(propose=_propose_member, update=_update_member, frame=_frame_member))
 
 
 def _kept_besides(model: RobotModel, dim: int) -> int:
@@ -361,10 +438,10 @@ def _constants(scenario: Any) -> MixedTeam:
     """Constants of a team: the largest speed, and the first member."""
     members, dim = scenario.models, scenario.dim
     n_angles, size = scenario.model.n_angles, scenario.model.memory_size(dim)
-    kept = []
-    for member in members:
-        rest = range(n_angles, n_angles + _kept_besides(member, dim))
-        kept.append((*range(member.n_angles), *rest))
+    angles = (0,) * n_angles
+    kept = [
+        _Kept((0,) * member.memory_size(dim), (0,) * member.n_angles, angles) for member in members
+    ]
     widths = [len(member.bounds(scenario.of_robot(_first(scenario, member)))) for member in members]
     senses = any(member.senses for member in members)
     return MixedTeam(
@@ -376,7 +453,7 @@ def _constants(scenario: Any) -> MixedTeam:
         members=tuple(constants_of(scenario.of_robot(_first(scenario, m))) for m in members),
         inputs=tuple(tuple(range(width)) for width in widths),
         kept=tuple(kept),
-        angles=tuple(range(n_angles)),
+        angles=_Kept(angles, angles, angles),
         blank=(0.0,) * size,
         unsensed=(0.0,) * (dim if senses else 0),
     )

@@ -118,6 +118,8 @@ _OF_ROBOT: dict[type, Callable[..., Any]] = {}
 """Functions that replace ``constants_of_robot`` for some classes."""
 _IS_STEADY: dict[type, Callable[..., Any]] = {}
 """Functions for ``is_steady`` of some classes."""
+_FOR_MEMBER: dict[type, Callable[..., Any]] = {}
+"""Functions for ``for_member`` of some classes."""
 
 
 def check_function(field: str, value: Any) -> Any:
@@ -133,11 +135,12 @@ def describe(
     *,
     of_robot: Callable[..., Any] | None = None,
     is_steady: Callable[..., Any] | None = None,
+    for_member: Callable[..., Any] | None = None,
 ) -> None:
     """Register the equations of robots whose constants are of this type, a NamedTuple class.
 
     ``of_robot`` replaces ``constants_of_robot`` for classes whose constants are nested, and
-    ``is_steady`` the function of that name for teams of several models.
+    ``is_steady`` and ``for_member`` the functions of these names for teams of several models.
 
     Raises:
         ValueError: if this type has other equations already, or is not a NamedTuple.
@@ -151,13 +154,15 @@ def describe(
         raise ValueError(f"how a {model.__name__} moves has been described before")
     for name, equation in zip(Motion._fields[:-1], motion, strict=False):
         check_function(f"{name} of a {model.__name__}", equation)
-    own = [function for function in (of_robot, is_steady) if function is not None]
+    own = [made for made in (of_robot, is_steady, for_member) if made is not None]
     depends_on(model, (*motion, *own) if own else motion)
     _MOTIONS[model] = motion
     if of_robot is not None:
         _OF_ROBOT[model] = of_robot
     if is_steady is not None:
         _IS_STEADY[model] = is_steady
+    if for_member is not None:
+        _FOR_MEMBER[model] = for_member
 
 
 def motion_of(model: type) -> Motion | None:
@@ -178,6 +183,19 @@ def keeps_memory(model: type) -> bool:
 @by_type("model", lambda kind: _IS_STEADY.get(kind, False))
 def is_steady(model):
     """True if no step changes memory and frame of this robot; False if that is unknown."""
+
+
+@kernel(inline="code")
+def _alone(model, run, given):
+    return run(model, given)
+
+
+@by_type("model", lambda kind: _FOR_MEMBER.get(kind, _alone))
+def for_member(model, run, given):
+    """run(model, given), with the constants of one model where a team has several.
+
+    ``run`` is a kernel with a loop over lanes, which has no branch by model then.
+    """
 
 
 @by_type("model", lambda kind: _MOTIONS[kind].drifts)

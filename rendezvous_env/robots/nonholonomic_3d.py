@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from ..compilation import kernel
 from ..physics.random_streams import uniform
+from ..physics.trigonometry import cos_sin
 from .motion import Motion, describe
 from .robot_models import RobotModel, register_robot_model
 from .unicycle import clip, mean_cos_sin, propose_along_axis
@@ -26,7 +27,7 @@ class Nonholonomic3D(NamedTuple):
     pitch_limit: float  # of ω_β, rad/s
 
 
-@kernel
+@kernel(inline="code")
 def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
     """Exact displacement (x, y, z), m, of a 3-D nonholonomic robot with held inputs.
 
@@ -47,17 +48,17 @@ def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
     )
 
 
-@kernel
+@kernel(inline="code")
 def body_frame_3d(yaw, pitch):
     """R = R_z(α) R_y(−β), row by row, from the body frame (x = heading h of eq. (9), y = horizontal
     left, z = up-ish) to the global one; yaw α and pitch β in rad.
     """
-    ca, sa = math.cos(yaw), math.sin(yaw)
-    cb, sb = math.cos(pitch), math.sin(pitch)
+    ca, sa = cos_sin(yaw)
+    cb, sb = cos_sin(pitch)
     return cb * ca, -sa, -sb * ca, cb * sa, ca, -sb * sa, sb, 0.0, cb
 
 
-@kernel
+@kernel(inline="code")
 def _displacement_at(model, action, frame, memory, time):
     return arc_3d(
         clip(action[0], model.speed_limit),
@@ -77,22 +78,22 @@ def _chord_error_bound(model, action, memory):
     return abs(clip(action[0], model.speed_limit)) * turn_rate / 8.0
 
 
-@kernel
+@kernel(inline="code")
 def _update(model, action, frame, memory, displacement, contact):
     yaw_rate = clip(action[1], model.yaw_limit)
     pitch_rate = clip(action[2], model.pitch_limit)
     return memory[0] + yaw_rate * model.duration, memory[1] + pitch_rate * model.duration
 
 
-@kernel
+@kernel(inline="code")
 def _frame(model, frame, memory):
     return body_frame_3d(memory[0], memory[1])
 
 
-@kernel
+@kernel(inline="code")
 def _gravity(model, frame, memory):
     """Unit direction of gravity in the body frame, (−sin β, 0, −cos β)."""
-    return -math.sin(memory[1]), 0.0, -math.cos(memory[1])
+    return -frame[6], 0.0, -frame[8]
 
 
 @kernel

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from ..compilation import kernel
 from ..physics.random_streams import uniform
+from ..physics.trigonometry import cos_sin
 from .motion import Motion, describe, displacement_at
 from .robot_models import RobotModel, register_robot_model
 
@@ -22,31 +23,28 @@ class Unicycle(NamedTuple):
     turn_limit: float  # of ω, rad/s
 
 
-@kernel
+@kernel(inline="code")
 def mean_cos_sin(angle, swept):
     """Means of cos and sin over an angle that grows evenly from a by x, rad, of either sign.
 
     With S = sin(x)/x and C = (1 − cos x)/x they are (S cos a − C sin a, S sin a + C cos a); C is
     written as sin²(x/2)/(x/2), which loses no digits as x → 0.
     """
-    return mean_direction((math.cos(angle), math.sin(angle)), swept)
+    return mean_direction(cos_sin(angle), swept)
 
 
 @kernel(inline="code")
 def mean_direction(heading, swept):
     """``mean_cos_sin`` from a pair (cos a, sin a)."""
     half = 0.5 * swept
-    if abs(half) < 1e-8:
-        mean_sin, mean_cos = half, 1.0
-    else:
-        sin_half = math.sin(half)
-        mean_sin = sin_half * sin_half / half
-        mean_cos = sin_half * math.cos(half) / half
+    cos_half, sin_half = cos_sin(half)
+    ratio = 1.0 if abs(half) < 1e-8 else sin_half / half
+    mean_cos, mean_sin = ratio * cos_half, ratio * sin_half
     c, s = heading
     return mean_cos * c - mean_sin * s, mean_cos * s + mean_sin * c
 
 
-@kernel
+@kernel(inline="code")
 def arc_2d(speed, yaw, yaw_rate, duration):
     """Exact displacement (x, y), m, of a unicycle with held inputs, in the frame of its yaw.
 
@@ -54,7 +52,7 @@ def arc_2d(speed, yaw, yaw_rate, duration):
 
     The speed v, m/s, is negative backwards; yaw in rad, its rate in rad/s, duration in s.
     """
-    return arc_along((math.cos(yaw), math.sin(yaw)), speed, yaw_rate, duration)
+    return arc_along(cos_sin(yaw), speed, yaw_rate, duration)
 
 
 @kernel(inline="code")
@@ -65,10 +63,10 @@ def arc_along(heading, speed, yaw_rate, duration):
     return distance * mean_cos, distance * mean_sin
 
 
-@kernel
+@kernel(inline="code")
 def body_frame_2d(yaw):
     """R(θ), row by row, from the body frame (x = heading, y = left) to the global one; θ in rad."""
-    c, s = math.cos(yaw), math.sin(yaw)
+    c, s = cos_sin(yaw)
     return c, -s, s, c
 
 
@@ -78,14 +76,14 @@ def clip(value, bound):
     return min(max(value, -bound), bound)
 
 
-@kernel
+@kernel(inline="code")
 def propose_along_axis(model, action, frame, memory):
     """``propose`` of a robot that moves along its body axis, with path length |v| τ."""
     way = abs(clip(action[0], model.speed_limit)) * model.duration
     return displacement_at(model, action, frame, memory, model.duration), way
 
 
-@kernel
+@kernel(inline="code")
 def _displacement_at(model, action, frame, memory, time):
     speed, turn_rate = clip(action[0], model.speed_limit), clip(action[1], model.turn_limit)
     return arc_along((frame[0], frame[2]), speed, turn_rate, time)
@@ -104,12 +102,12 @@ def _period(model, action, memory):
     return 2.0 * math.pi / turn_rate if turn_rate > 0.0 else math.inf
 
 
-@kernel
+@kernel(inline="code")
 def _update(model, action, frame, memory, displacement, contact):
     return (memory[0] + clip(action[1], model.turn_limit) * model.duration,)
 
 
-@kernel
+@kernel(inline="code")
 def _frame(model, frame, memory):
     return body_frame_2d(memory[0])
 

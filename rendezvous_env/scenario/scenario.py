@@ -216,12 +216,13 @@ class Scenario:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
             wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
             checks.raise_invalid("robot_model", self.robot_model, wanted)
+        object.__setattr__(self, "sensing", self.sensing.of_team(self.n_robots))
         self._check_graph()
         self._check_obstacles()
         self._check_bodies()
         self._check_starts()
         self._check_time_step()
-        self.sensing.check_fits(self.n_robots, self.tau)
+        self.sensing.check_delay(self.tau)
         self.activation.check_fits(self.n_robots)
         self.events.check_fits(self)
 
@@ -342,8 +343,8 @@ class Scenario:
 
     @property
     def delay_steps(self) -> int:
-        """Steps by which observations are late."""
-        return self.sensing.delay_steps(self.tau)
+        """Steps by which observations are late, the largest number of all robots."""
+        return int(self.sensing.delays(self.n_robots, self.tau).max())
 
     @property
     def per_robot(self) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ class Effects(NamedTuple):
     nearest: NDArray[np.float64]  # min_range of each robot, (n,), m
     detects: bool  # whether the probability of detection is drawn here, rather than dropout alone
     remembers: bool  # whether detection has a memory
-    distances: NDArray[np.float64]  # of the table of detection, m
+    distances: NDArray[np.float64]  # of tables of detection, (1 or n, points), m
     chances: NDArray[np.float64]  # likewise, with a dropout that all robots share
     kept: NDArray[np.float64]  # (n,), 1 − dropout where it differs between robots, else 1
     half_fields: NDArray[np.float64]  # (n,), rad; inf for a view without an edge
@@ -50,8 +50,8 @@ class Effects(NamedTuple):
 
 def draws_detection(sensing: Sensing) -> bool:
     """True if detection differs from independent dropout."""
-    measured = bool(sensing.detection) or sensing.view_falloff > 0.0 or sensing.persistence > 0.0
-    return measured or isinstance(sensing.dropout, tuple)
+    measured = bool(sensing.detection) or max(sensing.view_falloff, sensing.largest("persistence"))
+    return bool(measured) or isinstance(sensing.dropout, tuple)
 
 
 def draws_noise(sensing: Sensing) -> bool:
@@ -67,7 +67,7 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     outliers = sensing.each("outliers", n_robots)
     if not (detects or turns) and max(nearest.max(), outliers.max()) == 0.0:
         return None
-    table = np.array(sensing.detection or ((0.0, 1.0),), np.float64)
+    tables = _of_equal_length(sensing.tables(n_robots if "detection" in sensing.per_robot else 1))
     levels = sensing.each("noise", n_robots) if turns else np.zeros(n_robots)
     kept, views = 1.0 - sensing.each("dropout", n_robots), sensing.each("field_of_view", n_robots)
     differs = isinstance(sensing.dropout, tuple)
@@ -75,9 +75,9 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
         blind=bool(nearest.max() > 0.0),
         nearest=nearest,
         detects=detects,
-        remembers=detects and sensing.persistence > 0.0,
-        distances=table[:, 0].copy(),
-        chances=table[:, 1] * (1.0 if differs else kept[0]),
+        remembers=detects and sensing.largest("persistence") > 0.0,
+        distances=tables[:, :, 0].copy(),
+        chances=tables[:, :, 1] * (1.0 if differs else kept[0]),
         kept=kept if differs else np.ones(n_robots),
         half_fields=np.where(views < 2.0 * math.pi, 0.5 * views, math.inf),
         falloff=sensing.view_falloff,
@@ -90,9 +90,37 @@ def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     )
 
 
+def _of_equal_length(tables: list[tuple[tuple[float, float], ...]]) -> NDArray[np.float64]:
+    """Tables of detection, (count, points, 2), continued by points of the last probability."""
+    given = [table or ((0.0, 1.0),) for table in tables]
+    points = max(map(len, given))
+    for row, table in enumerate(given):
+        (last, chance), missing = table[-1], points - len(table)
+        given[row] = (*table, *((2.0 * (last + k + 1.0), chance) for k in range(missing)))
+    return np.array(given, np.float64)
+
+
 def kept_share(time_constant: float, tau: float) -> float:
     """The share k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 without one."""
     return math.exp(-tau / time_constant) if time_constant > 0.0 else 0.0
+
+
+class Redraws(NamedTuple):
+    """Words of 32 bits that draw the u of detection anew in a step: those from ``lowest`` on."""
+
+    lowest: NDArray[np.uint32]  # (n,), of each robot, 2³² k
+    scales: NDArray[np.float32]  # (n,), from the rank of a word to u; 0 without a memory
+
+
+def redraws_of(sensing: Sensing, n_robots: int, tau: float) -> Redraws:
+    """Words that draw the memory of detection anew in a step τ, s."""
+    times = sensing.each("persistence", n_robots).tolist()
+    kept = [math.ceil(kept_share(time, tau) * 2.0**32) for time in times]
+    lowest = [min(count, 2**32 - 2**10) for count in kept]
+    scales = [
+        2.0 / (2.0**32 - low) if time else 0.0 for low, time in zip(lowest, times, strict=True)
+    ]
+    return Redraws(np.array(lowest, np.uint32), np.array(scales, np.float32))
 
 
 @inner_kernel(inline="code")

@@ -75,7 +75,7 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
         reach=math.inf if reach is None or isinstance(reach, tuple) else reach,
         half_field=math.pi if isinstance(view, tuple) else 0.5 * view,
         noise=0.0 if draws_noise(sensing) or isinstance(noise, tuple) else noise,
-        bias=sensing.bias,
+        bias=0.0 if isinstance(sensing.bias, tuple) else sensing.bias,
         error=sensing.error,
         dropout=0.0 if draws_detection(sensing) or isinstance(dropout, tuple) else dropout,
         sectors=sensing.sectors or 0,

@@ -47,7 +47,7 @@ def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
         ]
     for robot, (value, sensor) in enumerate(zip(values, sensors, strict=True)):
         if name in PER_ROBOT and (given := sensor.list_given(name)) is not None:
-            wanted = "one number in a list of sensors, that of its robot"
+            wanted = "one value in a list of sensors, that of its robot"
             checks.raise_invalid(f"{field}[{robot}].{name}", given, wanted)
         if name not in PER_ROBOT and value != values[0]:
             raise ValueError(

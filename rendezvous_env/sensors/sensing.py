@@ -19,12 +19,14 @@ from .custom_sensors import as_custom
 
 _FULL_CIRCLE = 2.0 * math.pi
 PER_ROBOT = (
-    "range", "field_of_view", "noise", "dropout", "min_range", "observer_bias", "outliers",
+    "range", "field_of_view", "noise", "dropout", "min_range", "observer_bias", "outliers", "bias",
+    "delay", "delay_time", "detection", "persistence",
 )  # fmt: skip
 """Fields with one value for all robots, or a list with one for each."""
 UNLIMITED = "unlimited"
 """In a list of ranges, in plain data, that of a robot without a limit."""
 _Each = float | tuple[float, ...]
+_Table = tuple[tuple[float, float], ...]
 
 
 def _check_view(field: str, value: Any) -> float:
@@ -35,8 +37,17 @@ def _check_view(field: str, value: Any) -> float:
     return checks.to_float(value)
 
 
-_Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")]
-_Time = Annotated[float, partial(checks.number, least=0.0, unit="s")]
+def _each(check: Any, unit: str = "") -> Any:
+    """Check of one value for all robots, or a list with one for each."""
+    return partial(checks.one_or_each, check=check, unit=unit, keeps_lists=True)
+
+
+_angle = partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")
+_time = partial(checks.number, least=0.0, unit="s")
+_Deviation = Annotated[float, _angle]
+_Deviations = Annotated[_Each, _each(_angle, "rad")]
+_Time = Annotated[float, _time]
+_Times = Annotated[_Each, _each(_time, "s")]
 
 
 def _check_ranges(field: str, value: Any) -> Any:
@@ -50,17 +61,22 @@ def _check_ranges(field: str, value: Any) -> Any:
         except ValueError as error:
             raise ValueError(f"{error}, or None for no limit") from None
 
-    if checks.is_sequence(value):
-        return checks.one_or_each(field, value, one, "m")
-    return one(field, value)
+    return checks.one_or_each(field, value, one, "m", keeps_lists=True)
 
 
-def _each(check: Any, unit: str = "") -> Any:
-    """Check of one value for all robots, or a list with one for each."""
-    return partial(checks.one_or_each, check=check, unit=unit)
+def _check_tables(field: str, value: Any) -> _Table | tuple[_Table, ...]:
+    """Table of all robots, or a list with one for each; an empty one always detects."""
+    if not (checks.is_sequence(value) and any(map(_may_be_table, value))):
+        return _check_table(field, value)
+    return tuple(_check_table(f"{field}[{robot}]", own) for robot, own in enumerate(value))
 
 
-def _check_table(field: str, value: Any) -> tuple[tuple[float, float], ...]:
+def _may_be_table(value: Any) -> bool:
+    """True if a value is a list of lists, or empty; a row of a table is neither."""
+    return checks.is_sequence(value) and (len(value) == 0 or checks.is_sequence(value[0]))
+
+
+def _check_table(field: str, value: Any) -> _Table:
     """Pairs of a distance, m, and a probability, by increasing distance."""
     wanted = "a list of pairs [distance in m, probability], such as [[1.0, 0.5], [6.0, 0.2]]"
     if not checks.is_sequence(value):
@@ -103,23 +119,25 @@ class Sensing:
     field_of_view: Annotated[_Each, _each(_check_view, "rad")] = _FULL_CIRCLE
     """Full angle of the field of view around the body or local x axis, rad, of all robots or a list
     with one for each. An obstacle is visible while one of its edge points is inside."""
-    noise: Annotated[
-        _Each, _each(partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad"), "rad")
-    ] = 0.0
+    noise: _Deviations = 0.0
     """Standard deviation of angular noise per ordered pair and step, rad, of all robots or a list
     with one for each; in 3-D about a random axis perpendicular to the bearing. White unless it has
     a noise_correlation."""
-    bias: _Deviation = 0.0
+    bias: _Deviations = 0.0
     """Standard deviation of a constant error of each bearing, drawn once for every ordered pair and
-    episode, rad. Pairs differ, so unlike the error of a compass it does not cancel."""
+    episode, rad, of all robots or a list with one for each. Pairs differ, so unlike the error of a
+    compass it does not cancel."""
     error: Annotated[float, partial(checks.number, least=0.0, most=math.pi, unit="rad")] = 0.0
     """Adversarial error: bearings are rotated by this angle in the direction that increases L most,
     rad (theorem N; guarantees, section 11)."""
     dropout: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
     """Probability that a neighbour is not detected in a step, of all robots or a list with one for
     each."""
-    delay: Annotated[int, partial(checks.check_int, least=0, most=MAX_DELAY)] = 0
-    """Delay of observations, steps; the first observation is held until then."""
+    delay: Annotated[
+        int | tuple[int, ...], _each(partial(checks.check_int, least=0, most=MAX_DELAY), "steps")
+    ] = 0
+    """Delay of observations, steps, of all robots or a list with one for each; the first
+    observation is held until then."""
     sectors: Annotated[int, partial(checks.check_int, least=2, most=MAX_SECTORS)] | None = None
     """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2); None
     disables quantisation."""
@@ -133,11 +151,10 @@ class Sensing:
     sample_period: _Time = 0.0
     """Time between two samples, s: rows are refreshed at the first step at or after each multiple
     of it, and held until then; 0 is every step."""
-    delay_time: _Time = 0.0
-    """Delay of observations, s, instead of delay: rounded to whole steps, half a step upwards."""
-    observer_bias: Annotated[
-        _Each, _each(partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad"), "rad")
-    ] = 0.0
+    delay_time: _Times = 0.0
+    """Delay of observations, s, instead of delay, of all robots or a list with one for each:
+    rounded to whole steps, half a step upwards."""
+    observer_bias: _Deviations = 0.0
     """Standard deviation of a constant error that a robot's bearings, of obstacles too, share in an
     episode, rad, of all robots or a list with one for each: of its angle in the plane; in 3-D the
     sensor is turned about a random axis, and this is the root mean square by which it turns any
@@ -145,15 +162,16 @@ class Sensing:
     noise_correlation: _Time = 0.0
     """Time constant of noise, s: errors at two times t apart have correlation exp(−t/T), and the
     same distribution as white ones, which 0 gives. In 3-D the axis belongs to pair and episode."""
-    detection: Annotated[tuple[tuple[float, float], ...], _check_table] = ()
+    detection: Annotated[_Table | tuple[_Table, ...], _check_tables] = ()
     """Probability of detecting a neighbour by its distance, a list of pairs (m, probability):
-    linear between them, constant beyond the first and the last. Dropout multiplies it by
-    1 − dropout."""
+    linear between them, constant beyond the first and the last; of all robots, or a list with one
+    such list for each. Dropout multiplies it by 1 − dropout."""
     view_falloff: _Deviation = 0.0
     """Width of the border of the field of view, rad, in which the probability of detection falls to
     zero, linearly in the angle to the edge. A robot that sees all round has no edge."""
-    persistence: _Time = 0.0
-    """Time constant of detection, s: a two-state Markov chain for each ordered pair. With a
+    persistence: _Times = 0.0
+    """Time constant of detection, s, of all robots or a list with one for each: a two-state Markov
+    chain for each ordered pair. With a
     probability p of detection, robots seen are seen again after t with p + (1 − p) exp(−t/T), and
     robots missed are seen with p (1 − exp(−t/T)); 0 draws each step independently."""
     outliers: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
@@ -166,16 +184,12 @@ class Sensing:
     __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
-        given = {name: getattr(self, name) for name in PER_ROBOT}
-        lengths = {name: len(own) for name, own in given.items() if checks.is_sequence(own)}
-        if lengths:  # no field: a list of equal values becomes one value
-            object.__setattr__(self, "_lengths", lengths)
         field_checks.check_fields(self, "sensing.{}")
-        if self.delay > 0 and self.delay_time > 0.0:
-            seconds = checks.format_limit(self.delay_time)
+        if self.largest("delay") > 0 and self.largest("delay_time") > 0.0:
+            steps = self._in_words("delay", "steps")
             raise ValueError(
-                f"sensing.delay is {self.delay} steps and sensing.delay_time is {seconds} s; "
-                "it must be one of the two: leave one out"
+                f"sensing.delay is {steps} and sensing.delay_time is "
+                f"{self._in_words('delay_time', 's')}; it must be one of the two: leave one out"
             )
         if self.view_falloff > 0.0 and self.smallest("field_of_view") >= _FULL_CIRCLE:
             raise ValueError(
@@ -246,7 +260,7 @@ class Sensing:
     @property
     def exact(self) -> bool:
         """True if the sensor has no imperfection."""
-        return self == _EXACT
+        return self._united() == _EXACT
 
     @property
     def built_in_exact(self) -> bool:
@@ -256,52 +270,75 @@ class Sensing:
     @property
     def per_robot(self) -> tuple[str, ...]:
         """Names of the fields that are lists with one value for each robot."""
-        return tuple(name for name in PER_ROBOT if isinstance(getattr(self, name), tuple))
-
-    def each(self, field: str, n_robots: int) -> NDArray[np.float64]:
-        """A field of ``PER_ROBOT`` for each robot, (n,), in its unit; inf for unlimited ranges."""
-        given = getattr(self, field)
-        listed = given if isinstance(given, tuple) else (given,)
-        values = [math.inf if value is None else value for value in listed]
-        return np.array(np.broadcast_to(np.array(values, np.float64), (n_robots,)))
-
-    def smallest(self, field: str) -> float:
-        """Least value of a field of ``PER_ROBOT`` among the robots; inf for unlimited ranges."""
-        given = getattr(self, field)
-        return float(self.each(field, len(given) if isinstance(given, tuple) else 1).min())
-
-    def largest(self, field: str) -> float:
-        """Largest value of a field of ``PER_ROBOT`` among the robots."""
-        given = getattr(self, field)
-        return float(self.each(field, len(given) if isinstance(given, tuple) else 1).max())
+        return tuple(name for name in PER_ROBOT if self.list_given(name) is not None)
 
     def list_given(self, field: str) -> list[Any] | None:
-        """The list that a field of ``PER_ROBOT`` was given as; None if one value for all robots."""
-        own, lengths = getattr(self, field), getattr(self, "_lengths", {})
-        if isinstance(own, tuple):
-            return [*own]
-        return [own] * lengths[field] if field in lengths else None
+        """The list of a field of ``PER_ROBOT``; None if it is one value for all robots."""
+        own = getattr(self, field)
+        if field == "detection" and not any(map(_may_be_table, own)):
+            return None
+        return [*own] if isinstance(own, tuple) else None
 
-    def delay_steps(self, tau: float) -> int:
-        """Delay in whole steps of tau, s."""
-        return self.delay or math.floor(self.delay_time / tau + 0.5)
+    def each(self, field: str, n_robots: int) -> NDArray[np.float64]:
+        """A field of numbers for each robot, (n,), in its unit; inf for unlimited ranges."""
+        given = self.list_given(field) or [getattr(self, field)]
+        values = [math.inf if value is None else value for value in given]
+        return np.array(np.broadcast_to(np.array(values, np.float64), (n_robots,)))
 
-    def check_fits(self, n_robots: int, tau: float) -> None:
-        """Reject values that do not fit the number of robots or the step tau, s."""
-        for name in PER_ROBOT:
+    def tables(self, n_robots: int) -> list[_Table]:
+        """Table of ``detection`` of each robot; empty for one that always detects."""
+        return self.list_given("detection") or [self.detection] * n_robots
+
+    def smallest(self, field: str) -> float:
+        """Least value of a field of numbers among the robots; inf for unlimited ranges."""
+        return float(self.each(field, len(self.list_given(field) or [0])).min())
+
+    def largest(self, field: str) -> float:
+        """Largest value of a field of numbers among the robots."""
+        return float(self.each(field, len(self.list_given(field) or [0])).max())
+
+    def delays(self, n_robots: int, tau: float) -> NDArray[np.int64]:
+        """Delay of each robot in whole steps of tau, s, (n,)."""
+        seconds = np.floor(self.each("delay_time", n_robots) / tau + 0.5)
+        return np.maximum(self.each("delay", n_robots), seconds).astype(np.int64)
+
+    def of_team(self, n_robots: int) -> Sensing:
+        """Sensor of a team, in which a list of equal values is one value.
+
+        Raises:
+            ValueError: for lists of another length.
+        """
+        for name in self.per_robot:
             given = self.list_given(name)
             if given is not None and len(given) != n_robots:
-                remedy = f"{n_robots} numbers, one for each robot, or a single one for all of them"
+                what = "tables" if name == "detection" else "numbers"
+                remedy = f"{n_robots} {what}, one for each robot, or a single one for all of them"
                 checks.raise_invalid(f"sensing.{name}", given, remedy)
-        if self.delay_steps(tau) > MAX_DELAY:
+        return self._united()
+
+    def check_delay(self, tau: float) -> None:
+        """Reject a delay of too many steps of tau, s."""
+        if math.floor(self.largest("delay_time") / tau + 0.5) > MAX_DELAY:
             most = f"at most {MAX_DELAY} steps of {checks.format_limit(tau)} s: make it shorter"
             checks.raise_invalid(
                 "sensing.delay_time", self.delay_time, f"{most}, or time_step longer"
             )
 
+    def _united(self) -> Sensing:
+        """Sensor with one value for each list of equal values."""
+        lists = {name: self.list_given(name) or [] for name in self.per_robot}
+        equal = {name: own[0] for name, own in lists.items() if len(set(own)) == 1}
+        return dataclasses.replace(self, **equal) if equal else self
+
+    def _in_words(self, field: str, unit: str) -> str:
+        """Value or values of a field with their unit."""
+        given = self.list_given(field)
+        one = getattr(self, field)
+        return f"{checks.format_limit(one) if given is None else given} {unit}"
+
     def departures(self) -> str:
         """Names and values of the imperfections, as text."""
-        own, ideal = dataclasses.asdict(self), dataclasses.asdict(_EXACT)
+        own, ideal = dataclasses.asdict(self._united()), dataclasses.asdict(_EXACT)
         return ", ".join(f"{field} = {own[field]}" for field in own if own[field] != ideal[field])
 
     def to_plain(self) -> dict[str, Any]:
@@ -309,10 +346,15 @@ class Sensing:
         plain = {**dataclasses.asdict(self), "custom": list(self.custom) or None}
         for field in _YOUNGER:
             plain[field] = None if plain[field] == getattr(_EXACT, field) else plain[field]
-        plain["detection"] = plain["detection"] and [list(pair) for pair in self.detection]
         for field in self.per_robot:
-            plain[field] = [UNLIMITED if one is None else one for one in getattr(self, field)]
+            plain[field] = [UNLIMITED if one is None else one for one in plain[field]]
+        plain["detection"] = plain["detection"] and _as_lists(plain["detection"])
         return {field: value for field, value in plain.items() if value is not None}
+
+
+def _as_lists(value: Any) -> Any:
+    """Nested tuples as lists."""
+    return [*map(_as_lists, value)] if isinstance(value, tuple | list) else value
 
 
 _EXACT = Sensing()

@@ -1,6 +1,8 @@
-"""Teams whose robots differ in range, field of view, noise, missed detections and blind zone."""
+"""Teams whose robots differ in sight, errors, detection and delay."""
 
+import dataclasses
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from conftest import UNEQUAL, started
 from test_sensing_engine import PLANE, RING, SPACE, WALLED, act
 
 import rendezvous_env as rv
+from rendezvous_env import baselines
 from rendezvous_env.sensors.sensing import PER_ROBOT
 
 SENSORS = {
@@ -18,16 +21,25 @@ SENSORS = {
     "min_range": [0.0, 2.0, 4.0, 1.0, 0.5],
     "observer_bias": [0.1, 0.0, 0.3, 0.05, 1.0],
     "outliers": [0.0, 0.5, 0.1, 1.0, 0.0],
+    "bias": [0.0, 0.1, 0.05, 1.0, 0.2],
+    "delay": [1, 0, 3, 2, 0],
+    "detection": [
+        [[0.0, 1.0]],
+        [[0.0, 1.0], [5.0, 0.8]],
+        [[1.0, 0.5]],
+        [[0.0, 0.9], [3.0, 0.5], [9.0, 0.7]],
+        [[2.0, 0.4], [4.0, 0.9]],
+    ],
+    "persistence": [0.5, 0.0, 0.1, 3.0, 1e-9],
 }
 DETECTED = {"detection": [[0.0, 1.0]]}  # misses of one chance and of several use one stream
 OTHERS = {
     "plain": DETECTED,
     "measured": {
-        "detection": [[0.0, 1.0], [5.0, 0.8]], "persistence": 0.5, "noise_correlation": 0.4,
-        "outlier_kind": "robot", "bias": 0.05, "sectors": 720,
+        "noise_correlation": 0.4, "outlier_kind": "robot", "sectors": 720,
     },
 }  # fmt: skip
-FIELDS = {"plain": PER_ROBOT[:5], "measured": PER_ROBOT}
+FIELDS = {"plain": (*PER_ROBOT[:5], "bias", "delay"), "measured": tuple(SENSORS)}
 """Fields that differ: with observer_bias, noise of one level is applied in another order."""
 TEAMS = {
     "plane": WALLED,
@@ -102,7 +114,7 @@ def test_sensors_given_one_by_one_are_fields_of_one_sensor():
     listed = [rv.Sensing(**own(robot)) for robot in range(5)]
     scenario = PLANE.replace(sensing=listed)
     assert scenario.sensing == rv.Sensing(**SENSORS)
-    assert scenario.sensing.per_robot == PER_ROBOT
+    assert set(scenario.sensing.per_robot) == set(PER_ROBOT) - {"delay_time"}
     tables = [{name: value for name, value in own(k).items() if value} for k in range(5)]
     assert PLANE.replace(sensing=tables) == scenario
 
@@ -127,18 +139,61 @@ def test_sensors_survive_plain_data_and_toml(tmp_path):
 def test_sensors_that_are_equal_are_one():
     camera = rv.Sensing(
         range=4.0, field_of_view=2.0, noise=0.1, dropout=0.2, min_range=0.1, observer_bias=0.1,
-        outliers=0.1,
+        outliers=0.1, bias=0.1, delay=2, detection=[[1.0, 0.5], [2.0, 0.3]], persistence=0.3,
     )  # fmt: skip
     equal = {name: [getattr(camera, name)] * 5 for name in PER_ROBOT}
-    assert rv.Sensing(**equal) == camera and rv.Sensing(range=[None] * 5) == rv.Sensing()
+    assert PLANE.replace(sensing=equal).sensing == camera
+    assert rv.Sensing(**equal).departures() == camera.departures()
+    assert rv.Sensing(range=[None] * 5, detection=[[], []], delay=[0, 0]).exact
+    assert PLANE.replace(sensing={"detection": [[]] * 5, "delay_time": [0.0] * 5}) == PLANE
     assert PLANE.replace(sensing=[camera] * 5) == PLANE.replace(sensing=camera)
     assert PLANE.replace(sensing=[rv.Sensing()] * 5) == PLANE
 
 
-def test_sensor_of_one_robot_takes_no_list_even_of_equal_values():
-    sensors = [rv.Sensing(noise=[0.1] * 5), *[rv.Sensing()] * 4]
-    with pytest.raises(ValueError, match=r"sensing\[0\].noise is \[0.1, .*one number in a list"):
-        PLANE.replace(sensing=sensors)
+@pytest.mark.parametrize("name", PER_ROBOT)
+def test_lists_of_equal_values_keep_their_length_in_copies(name):
+    value = [[1.0, 0.5]] if name == "detection" else 1
+    copied = dataclasses.replace(rv.Sensing(**{name: [value] * 3}), sectors=90)
+    with pytest.raises(ValueError, match=f"sensing.{name} is .*; it must be 5 "):
+        PLANE.replace(sensing=copied)
+    with pytest.raises(ValueError, match=rf"sensing\[0\].{name} is .*one value in a list"):
+        PLANE.replace(sensing=[copied, *[rv.Sensing(sectors=90)] * 4])
+    again = rv.Sensing(**copied.to_plain())
+    assert again == copied == pickle.loads(pickle.dumps(copied)) and again.per_robot == (name,)
+
+
+def test_robots_may_be_late_by_seconds():
+    seconds = [0.0, 0.052, 0.02, 0.008, 0.06]
+    late = PLANE.replace(time_step=0.02, sensing=rv.Sensing(delay_time=seconds))
+    steps = late.replace(sensing=rv.Sensing(delay=[0, 3, 1, 0, 3]))
+    assert late.delay_steps == 3
+    np.testing.assert_array_equal(seen(late, 2), seen(steps, 2))
+
+
+def test_robot_with_an_empty_table_detects_all_neighbours():
+    tables = [[], [[0.0, 0.3]], [[0.0, 0.0]], [], [[1.0, 0.5]]]
+    found, exact = (
+        seen(WALLED.replace(sensing=rv.Sensing(detection=one)), 40, 1)[0] for one in (tables, [])
+    )
+    np.testing.assert_array_equal(found[:, [0, 3]], exact[:, [0, 3]])
+    rows = WALLED.observation_layout.neighbours
+    present, there = found[:, :, rows].any(axis=-1), exact[:, :, rows].any(axis=-1)
+    assert not present[:, 2].any() and 0.15 < present[:, 1].sum() / there[:, 1].sum() < 0.45
+
+
+def test_persistence_of_each_robot_has_its_correlation():
+    tau, times = 0.02, [0.0, 0.02, 0.1, 0.4, 0.01]
+    still = PLANE.replace(sensing=rv.Sensing(detection=[[0.0, 0.5]], persistence=times))
+    sim = rv.Simulator(still.replace(time_step=tau, time_limit=1000.0), 400)
+    sim.reset(seed=1)
+    shown = []
+    for _ in range(20):
+        shown.append(sim.observe()[:, :, still.observation_layout.neighbours].any(axis=-1))
+        sim.step(np.zeros((400, 5, 2), np.float32))
+    seen_in_a_row = np.array(shown[:-1]) & np.array(shown[1:])
+    again = seen_in_a_row.sum(axis=(0, 1, 3)) / np.array(shown[:-1]).sum(axis=(0, 1, 3))
+    wanted = [0.5 + 0.5 * (math.exp(-tau / time) if time else 0.0) for time in times]
+    np.testing.assert_allclose(again, wanted, atol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -153,6 +208,15 @@ def test_sensor_of_one_robot_takes_no_list_even_of_equal_values():
         ({"range": [1.0, "far"]}, r"sensing.range\[1\] is 'far'; .* m, or None for no limit$"),
         ({"noise": []}, r"sensing.noise is \[\]; it must be one value, or a list"),
         ({"view_falloff": 0.1, "field_of_view": [7.0]}, r"field_of_view\[0\]"),
+        ({"detection": [[], []]}, r"sensing.detection is \[\(\), \(\)\]; it must be 5 tables"),
+        ({"detection": [[], [1.0, 0.5]]}, r"sensing.detection\[1\]\[0\] is 1.0; .* pairs"),
+        ({"detection": [[[1.0, 2.0]]]}, r"sensing.detection\[0\]\[0\]\[1\] is 2.0"),
+        ({"delay": [1, 0]}, r"sensing.delay is \[1, 0\]; it must be 5 numbers"),
+        ({"delay": [0, 0.5]}, r"sensing.delay\[1\] is 0.5; it must be an integer, 0 or more"),
+        ({"delay_time": [1e6, 0.0, 0.0, 0.0, 0.0]}, "sensing.delay_time is .*10000 steps"),
+        ({"delay": [0, 1], "delay_time": 0.2}, r"delay is \[0, 1\] steps and .* 0.2 s; .* one of"),
+        ({"persistence": [0.1, -1.0]}, r"sensing.persistence\[1\] is -1.0"),
+        ({"bias": [0.1, "much"]}, r"sensing.bias\[1\] is 'much'"),
     ],
 )
 def test_sensors_are_refused_by_field_value_and_remedy(given, message):
@@ -164,8 +228,11 @@ def test_sensors_are_refused_by_field_value_and_remedy(given, message):
     ("given", "message"),
     [
         ([], "a Sensing, or a list of one for each robot"),
-        ([{"delay": 1}] + [{}] * 4, r"sensing\[1\].delay is 0; it must be 1 as that of robot 0"),
-        ([{"noise": [0.1, 0.2]}] * 5, r"sensing\[0\].noise is \[0.1, 0.2\]; it must be one num"),
+        (
+            [{"noise_correlation": 1.0}] + [{}] * 4,
+            r"sensing\[1\].noise_correlation is 0.0; it must be 1.0 as that of robot 0",
+        ),
+        ([{"noise": [0.1, 0.2]}] * 5, r"sensing\[0\].noise is \[0.1, 0.2\]; it must be one val"),
         ([{}, {"range": -1.0}, {}, {}, {}], r"sensing\[1\].range is -1.0"),
         (
             [{"field_of_view": 2.0, "view_falloff": 0.1}] + [{"field_of_view": 2.0}] * 4,
@@ -204,6 +271,31 @@ def test_certificate_of_misses_is_that_of_the_robot_that_detects_least():
     bounds = [rv.certificate(one).expected_time_bound for one in directed]
     assert bounds[0] == bounds[1] < math.inf
     assert rv.certificate(own).expected_time_bound >= rv.certificate(worst).expected_time_bound
+
+
+def test_certificate_of_delays_is_that_of_the_robot_that_is_latest():
+    late = [
+        RING.replace(time_step=0.016, sensing=rv.Sensing(delay=steps))
+        for steps in ([0, 1, 2, 0, 0, 2], 2)
+    ]
+    own, worst = map(rv.certificate, late)
+    assert own.guaranteed and own.time_bound == worst.time_bound
+    assert own.lyapunov_bound == worst.lyapunov_bound and "up to 2 steps late" in own.theorem
+    played = rv.rollout(late[0], baselines.make("bearing-only", late[0]), seed=0, num_envs=8)
+    assert played.success.all() and (played.rendezvous_time <= own.time_bound).all()
+
+
+def test_mean_time_of_robots_that_detect_differently_is_that_of_the_worst():
+    tables, times = [[[1.0, 0.5]]] * 5 + [[[1.0, 0.6]]], [0.01] * 5 + [0.02]
+    own = rv.Sensing(detection=tables, persistence=times)
+    worst = rv.Sensing(detection=[[1.0, 0.5]], persistence=0.02)
+    cycle = RING.replace(graph=rv.graphs.directed_cycle())
+    bounds = [
+        rv.certificate(cycle.replace(sensing=one)).expected_time_bound for one in (own, worst)
+    ]
+    assert bounds[0] == bounds[1] < math.inf
+    found = rv.certificate(RING.replace(sensing=rv.Sensing(bias=[0.1] + [0.0] * 5)))
+    assert not found.guaranteed and "bias" in found.theorem
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,39 @@ def test_index_follows_given_obstacles(monkeypatch):
     assert np.array_equal(found[0], found[2]) and np.array_equal(found[1], found[3])
 
 
+def test_environments_share_scenario_obstacles():
+    scenario = Scenario(obstacles=random_shapes(80, 30.0), n_robots=3)
+    other = random_shapes(70, 8.0, seed=5)
+    simulator = rv.Simulator(scenario, 3)
+    sources = [simulator._state.index.source]
+    simulator.reset(seed=0)
+    assert sources[0].tolist() == [3, 3, 3]
+    simulator.reset(seed=1, options={"obstacles": other}, mask=np.array([False, True, False]))
+    assert sources[0].tolist() == [3, 1, 3]
+    twin = rv.Simulator(scenario, 3)
+    twin.reset(seed=9)
+    twin.set_state(simulator.get_state())
+    assert twin._state.index.source.tolist() == [3, 1, 3]
+    for _ in range(5):
+        actions = np.ones((3, 3, 2))
+        assert np.array_equal(simulator.step(actions).observations, twin.step(actions).observations)
+    simulator.reset(seed=1, options={"obstacles": scenario.obstacles})
+    given = simulator.reset(seed=1)
+    assert sources[0].tolist() == [3, 3, 3]
+    assert np.array_equal(given, rv.Simulator(scenario, 3).reset(seed=1))
+
+
+def test_failed_reset_keeps_obstacles():
+    scenario = Scenario(obstacles=random_shapes(80, 30.0), n_robots=3)
+    simulator = rv.Simulator(scenario, 2)
+    simulator.reset(seed=1, options={"obstacles": random_shapes(70, 8.0, seed=5)})
+    state, source = simulator.get_state(), simulator._state.index.source.copy()
+    with pytest.raises(RuntimeError, match="no room"):
+        simulator.reset(seed=2, options={"obstacles": (Disc((0.0, 0.0), 1e4),)})
+    assert source.tolist() == simulator._state.index.source.tolist() == [0, 1]
+    assert np.array_equal(state["obstacles"], simulator.get_state()["obstacles"])
+
+
 @pytest.mark.parametrize("slots", [0, 1, 2, 63, 64, 65, 2000])
 def test_groups_have_room_for_all_slots(slots):
     groups, places = shape_of(slots)

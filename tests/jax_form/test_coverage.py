@@ -55,11 +55,14 @@ def test_make_refuses_what_it_does_not_cover_by_name(field, scenario, changes, r
         {"observer_bias": 0.1},
         {"detection": ((1.0, 0.5),), "persistence": 1.0},
         {"outliers": 0.1, "outlier_kind": "robot"},
+        {"bias": (0.1, 0.2), "delay": (0, 2)},
+        {"detection": ((), ((1.0, 0.5),)), "persistence": (0.0, 0.3)},
     ],
     ids=lambda fields: " ".join(fields),
 )
 def test_make_names_the_sensor_imperfections_that_it_rejects(fields, rj):
     covered = {"field_of_view": 2.0, "dropout": 0.2, "delay": 1, "bias": 0.3}
+    covered = {name: value for name, value in covered.items() if name not in fields}
     with pytest.raises(NotImplementedError, match="make_vec") as error:
         rj.make("duo", sensing=rv.Sensing(**covered, **fields))
     assert all(f"{field} = {value}" in str(error.value) for field, value in fields.items())

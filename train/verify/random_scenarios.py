@@ -243,16 +243,15 @@ def _of_several_models(random: Random, scenario: rv.Scenario) -> rv.Scenario:
 
 
 def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Sensors that differ between robots: half of them miss neighbours by chance alone, for which
-    a mean time is bounded.
+    """Sensors that differ between robots: half of them miss neighbours by chance alone or are
+    late, for which a mean time or a time is bounded.
     """
     n, r = scenario.n_robots, scenario.merge_radius
     if random.random() < 0.5 and scenario.sensing_graph.kind != "proximity":
-        step = scenario.certified_step * log_uniform(random, 0.1, 1.0)
-        own = {"dropout": random.uniform(0.0, 0.8, n).tolist(), "noise": 0.0}
+        sensing, step = _by_chance_or_late(random, scenario)
         passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
         return scenario.replace(
-            sensing=dataclasses.replace(by_chance(random, r, step), **own),
+            sensing=sensing,
             obstacles=passed,
             max_speed=None,
             time_step=step,
@@ -268,11 +267,34 @@ def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
         "min_range": [r * log_uniform(random, 0.3, 30.0) for _ in range(n)],
         "observer_bias": random.uniform(0.0, 1.0, n).tolist(),
         "outliers": random.uniform(0.0, 0.5, n).tolist(),
+        "bias": random.uniform(0.0, 1.0, n).tolist(),
+        "delay": random.integers(0, 6, n).tolist(),
+        "delay_time": [log_uniform(random, 0.1, 4.0) * scenario.tau for _ in range(n)],
+        "detection": [_table(random, r) for _ in range(n - 1)] + [[]],
+        "persistence": [log_uniform(random, 0.1, 30.0) * scenario.tau for _ in range(n - 1)] + [0],
     }
-    names = random.permutation([*lists])[: pick(random, 1, 1, 2)]
-    return scenario.replace(
-        sensing=dataclasses.replace(scenario.sensing, **{name: lists[name] for name in names})
-    )
+    names = random.permutation([*lists])[: pick(random, 1, 2, 3)]
+    own = {name: lists[name] for name in names}
+    if {"delay", "delay_time"} & {*own}:
+        own = {"delay": 0, "delay_time": 0.0} | own
+    return scenario.replace(sensing=dataclasses.replace(scenario.sensing, **own))
+
+
+def _by_chance_or_late(random: Random, scenario: rv.Scenario) -> tuple[rv.Sensing, float]:
+    """Sensors of robots that miss neighbours by chance alone, or are late, and a step, s."""
+    n, r, longest = scenario.n_robots, scenario.merge_radius, scenario.certified_step
+    step = longest * log_uniform(random, 0.1, 1.0)
+    own: dict[str, Any] = {"dropout": random.uniform(0.0, 0.8, n).tolist(), "noise": 0.0}
+    more = random.random()
+    if more < 0.2:
+        delays = random.integers(0, 5, n)
+        late = longest * random.uniform(0.3, 1.05) / (delays.max() + 1)
+        return rv.Sensing(delay=delays.tolist()), float(late)
+    if more < 0.4:
+        own["persistence"] = [step * log_uniform(random, 0.03, 30.0) for _ in range(n)]
+    elif more < 0.6:
+        own["detection"] = [_table(random, r) for _ in range(n - 1)] + [[]]
+    return dataclasses.replace(by_chance(random, r, step), **own), step
 
 
 def _in_an_area(random: Random, scenario: rv.Scenario) -> rv.Scenario:
@@ -344,8 +366,9 @@ def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenar
     elif flaw == "noise":
         sensing = rv.Sensing(noise=log_uniform(random, 0.01, 0.6))
     elif flaw == "delay":
-        sensing = rv.Sensing(delay=int(random.integers(1, 5)))
-        step = exact.certified_step * random.uniform(0.3, 1.05) / (sensing.delay + 1)
+        late = int(random.integers(1, 5))
+        sensing = rv.Sensing(delay=late)
+        step = exact.certified_step * random.uniform(0.3, 1.05) / (late + 1)
     else:
         by = pick(random, *CHOICES, "heading", "law")  # which bear least
         if by == "gains":
@@ -372,9 +395,7 @@ def by_chance(random: Random, r: float, tau: float) -> rv.Sensing:
     """
     fields: dict[str, Any] = {}
     if random.random() < 0.5:
-        distances = r * np.sort(random.uniform(0.3, 30.0, int(random.integers(1, 4))))
-        chances = random.uniform(random.random(), 1.0, len(distances))
-        fields["detection"] = np.stack([distances, chances], axis=1).tolist()
+        fields["detection"] = _table(random, r)
     if not fields or random.random() < 0.3:
         fields["dropout"] = random.uniform(0.0, 0.8)
     if random.random() < 0.3:
@@ -384,6 +405,13 @@ def by_chance(random: Random, r: float, tau: float) -> rv.Sensing:
     if random.random() < 0.1:
         fields["noise"] = log_uniform(random, 0.01, 0.6)
     return rv.Sensing(**fields)
+
+
+def _table(random: Random, r: float) -> list[list[float]]:
+    """Table of ``detection`` for a merge radius r, m."""
+    distances = r * np.sort(random.uniform(0.3, 30.0, int(random.integers(1, 4))))
+    chances = random.uniform(random.random(), 1.0, len(distances))
+    return cast(list[list[float]], np.stack([distances, chances], axis=1).tolist())
 
 
 def _scenario(random: Random, kind: Kind) -> rv.Scenario:

@@ -74,11 +74,11 @@ def apply_effects(
                 one, other = listed[0, e], listed[1, e]
                 couple = pair_index(one, other, n)
                 _draw(width, axes, purpose, effects, couple, keys, words)
-                if purpose == _DETECTS:
-                    pair = robots[block, one], robots[block, other]
-                    _find_chances(width, axes, effects, pair, buffer)
+                pair = robots[block, one], robots[block, other]
                 for side in range(2):
                     i, j = (other, one) if side else (one, other)
+                    if purpose == _DETECTS and (side == 0 or len(effects.chances) > 1):
+                        _find_chances(width, axes, effects, i, pair, buffer)
                     if edge_weight(links, block, n, i, j, 1.0) > 0.0:
                         slot = counts[i] if in_order else j - (j > i)
                         counts[i] += 1
@@ -141,10 +141,12 @@ def _draw(width, axes, purpose, effects, couple, keys, words):
 
 
 @inner_kernel
-def _find_chances(width, axes, effects, pair, buffer):
-    """The probability of detection of two robots by their distance, in every lane; and this."""
-    lanes, table, points = lane_count(width), effects.chances, effects.distances
-    robot, other = pair
+def _find_chances(width, axes, effects, i, pair, buffer):
+    """The probability that robot i of a pair detects the other one, by their distance, in every
+    lane; and this.
+    """
+    lanes, own = lane_count(width), (i if len(effects.chances) > 1 else 0)
+    (robot, other), table, points = pair, effects.chances[own], effects.distances[own]
     for lane in range(lanes):
         here = load_fields(robot, 0, lane, lanes, axes)
         buffer[lanes + lane] = distance_of(here, load_fields(other, 0, lane, lanes, axes))

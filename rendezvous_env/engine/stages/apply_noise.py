@@ -17,7 +17,7 @@ from ...sensors.chance import is_small, step_key, turned_by_chance
 from ...sensors.imperfections import in_sectors, is_in_view, is_seen
 from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
 
-_EPISODE, _STEP = range(2)
+EPISODE_KEYS, STEP_KEYS = range(2)
 """Key indices: of an environment's episode, and of its step."""
 _BIAS, _NOISE, _MISSED = range(3)
 """Random quantities of a couple."""
@@ -85,8 +85,8 @@ def sensing_keys(width, block, moves, seeds, episodes, environment, keys):
     lanes = lane_count(width)
     for lane in range(min(lanes, len(seeds) - block * lanes)):
         key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
-        keys[_EPISODE, lane] = key
-        keys[_STEP, lane] = step_key(key, sensed_step(environment, lane, lanes, moves))
+        keys[EPISODE_KEYS, lane] = key
+        keys[STEP_KEYS, lane] = step_key(key, sensed_step(environment, lane, lanes, moves))
 
 
 @inner_kernel(inline="code")
@@ -97,11 +97,11 @@ def _draw(width, axes, couple, errors, keys, words):
     """
     first = couple * DRAWS
     if errors.bias > 0.0:
-        draw_turns(width, axes, keys[_EPISODE], first, words[_BIAS])
+        draw_turns(width, axes, keys[EPISODE_KEYS], first, words[_BIAS])
     if errors.noise > 0.0:
-        draw_turns(width, axes, keys[_STEP], first, words[_NOISE])
+        draw_turns(width, axes, keys[STEP_KEYS], first, words[_NOISE])
     if errors.dropout > 0.0:
-        halve(width, keys[_STEP], first + 2, words[_MISSED, 0], words[_MISSED, 1])
+        halve(width, keys[STEP_KEYS], first + 2, words[_MISSED, 0], words[_MISSED, 1])
 
 
 @inner_kernel(inline="code")

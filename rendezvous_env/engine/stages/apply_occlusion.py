@@ -88,11 +88,13 @@ def close_rows(first, last, slots, observations):
 
 
 @kernel
-def delay_observations(lanes, first, last, moves, merged_into, environments, past, observations):
+def delay_observations(
+    lanes, first, last, moves, delays, merged_into, environments, past, observations
+):
     """Store the rows of this step, and replace them by those of an earlier step.
 
-    Inactive robots observe nothing. ``past`` is (B, delay + 1, n, K + M·S, d): step t is at t mod
-    (delay + 1).
+    ``delays`` (n,) are those of the robots, steps. Inactive robots observe nothing. ``past`` is
+    (B, D + 1, n, K + M·S, d) for the longest delay D: step t is at t mod (D + 1).
     """
     length, n, sensed, d = past.shape[1:]
     kept = past.reshape(past.shape[0], length, n, sensed * d)
@@ -107,6 +109,9 @@ def delay_observations(lanes, first, last, moves, merged_into, environments, pas
                 for t in range(length if step == 0 else 0):  # there is no earlier observation
                     for k in range(len(now)):
                         kept[b, t, i, k] = rows[k]
-                due, active = kept[b, (step + 1) % length, i], merged_into[b, i] == i
+                due, active = (
+                    kept[b, (step + length - delays[i]) % length, i],
+                    merged_into[b, i] == i,
+                )
                 for k in range(len(due)):
                     rows[k] = due[k] if active else 0.0

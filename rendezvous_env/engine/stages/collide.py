@@ -9,7 +9,7 @@ from ...compilation import inner_kernel, kernel
 from ...graphs.edges import arcs_of, load_links, store_links
 from ...graphs.merging import merge_swept
 from ...obstacles.contact import move_curved, move_straight, work_of
-from ...obstacles.spatial_index import obstacles_within
+from ...obstacles.spatial_index import obstacles_within, table_of
 from ...physics.packing import is_packed, move_apart
 from ...physics.vectors import norm
 from ...robots.motion import constants_of_robot
@@ -59,8 +59,8 @@ def stop_at_obstacles(
 ):
     """Replace straight displacements by those that obstacles allow.
 
-    ``index`` may be None. Working memory: normals (2M, 3), and with an index near and listed, see
-    ``spatial_index.obstacles_within``.
+    ``index``, of the tables of obstacles, may be None. Working memory: normals (2M, 3), and with an
+    index near and listed, see ``spatial_index.obstacles_within``.
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -68,13 +68,14 @@ def stop_at_obstacles(
             if environments[block, PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
-            world = obstacles_of(obstacles, b)
+            table = table_of(index, b)
+            world = obstacles_of(obstacles, table)
             for i in range(n):
                 if merged_into[b, i] == i:
                     point = load_point(robots[block, i], 0, lane, lanes, d)
                     way = load_point(moves[block - first, i], 0, lane, lanes, d)
                     reach = _LEGS_OF_LINE * norm(way) + _MARGIN
-                    here = obstacles_within(world, index, b, point, reach, near, listed)
+                    here = obstacles_within(world, index, table, point, reach, near, listed)
                     met, executed = move_straight(point, way, here, mode, normals)
                     move, environment = moves[block - first, i], environments[block]
                     execute_motion(met, executed, i, lane, lanes, d, move, environment, contact[b])
@@ -106,13 +107,14 @@ def stop_curves_at_obstacles(
             if environments[block, PROXIMITY * lanes + lane] == FREE:
                 continue
             b = block * lanes + lane
-            world = obstacles_of(obstacles, b)
+            table = table_of(index, b)
+            world = obstacles_of(obstacles, table)
             work = work_of(world)
             for i in range(n):
                 if merged_into[b, i] == i:
                     state, move = robots[block, i], moves[block - first, i]
                     point = load_point(state, 0, lane, lanes, d)
-                    here = obstacles_within(world, index, b, point, reach, near, listed)
+                    here = obstacles_within(world, index, table, point, reach, near, listed)
                     met, executed = move_curved(
                         point,
                         load_point(move, 0, lane, lanes, d),

@@ -10,6 +10,7 @@ from ...robots.motion import (
     SLID,
     STOPPED,
     constants_of_robot,
+    for_member,
     frame_of,
     is_steady,
     propose,
@@ -53,7 +54,8 @@ def propose_motion(
         for i in range(n):
             load_actions(width, robot, i, start, actions, move[i])
         for i in range(n):
-            _propose_robot(width, robot, i, robots[block, i], move[i])
+            model = constants_of_robot(robot.model, robot.limits, i)
+            for_member(model, _propose_robot, (width, robot, robots[block, i], move[i]))
         _hold_still(width, move, count, start, environment, merged_into)
         _begin_step(width, reach, environment)
         for i in range(n):
@@ -72,10 +74,10 @@ def load_actions(width, robot, i, start, actions, move):
 
 
 @inner_kernel(inline="code")
-def _propose_robot(width, robot, i, state, move):
-    """Propose the motion of robot i in every lane, from the action in its fields."""
+def _propose_robot(model, given):
+    """Propose the motion of a robot in every lane, from the action in its fields."""
+    width, robot, state, move = given
     lanes, d = lane_count(width), len(robot.axes)
-    model = constants_of_robot(robot.model, robot.limits, i)
     for lane in range(lanes):
         moved, length = propose(
             model,
@@ -139,26 +141,45 @@ def update_robots(
     width, robot, first, last, mode, robots, merged_into, environments, moves, contact
 ):
     """Update memory and frames of robot models at the end of the step."""
+    lanes = lane_count(width)
+    for block in range(first, last):
+        touched = contact[block * lanes : block * lanes + lanes]
+        for i in range(robots.shape[1]):
+            model = constants_of_robot(robot.model, robot.limits, i)
+            if not is_steady(model):
+                fields = environments[block], robots[block, i], moves[block - first, i]
+                for_member(model, _update_robot, (width, robot, mode, *fields, touched[:, i]))
+
+
+@inner_kernel(inline="code")
+def _update_robot(model, given):
+    """Update memory and frame of a robot in the lanes of running environments."""
+    width, robot, mode, environment, state, move, touched = given
     lanes, d = lane_count(width), len(robot.axes)
     met = STOPPED if mode == STOP else SLID
-    for block in range(first, last):
-        count = min(lanes, len(merged_into) - block * lanes)
-        for i in range(robots.shape[1]):
-            state, move = robots[block, i], moves[block - first, i]
-            model = constants_of_robot(robot.model, robot.limits, i)
-            for lane in range(0 if is_steady(model) else count):
-                if environments[block, STATUS * lanes + lane] == RUNNING:
-                    frame = load_fields(state, d, lane, lanes, robot.entries)
-                    after = update_memory(
-                        model,
-                        load_fields(move, d + 1, lane, lanes, robot.inputs),
-                        frame,
-                        load_fields(state, d + d * d, lane, lanes, robot.memories),
-                        load_fields(move, 0, lane, lanes, robot.axes),
-                        met if contact[block * lanes + lane, i] else UNTOUCHED,
-                    )
-                    store_fields(after, state, d + d * d, lane, lanes)
-                    store_fields(frame_of(model, frame, after), state, d, lane, lanes)
+    for lane in range(len(touched)):
+        running = environment[STATUS * lanes + lane] == RUNNING
+        frame = load_fields(state, d, lane, lanes, robot.entries)
+        before = load_fields(state, d + d * d, lane, lanes, robot.memories)
+        after = update_memory(
+            model,
+            load_fields(move, d + 1, lane, lanes, robot.inputs),
+            frame,
+            before,
+            load_fields(move, 0, lane, lanes, robot.axes),
+            met if touched[lane] else UNTOUCHED,
+        )
+        turned = frame_of(model, frame, after)
+        # selection instead of a branch keeps it SIMD
+        _store_if(running, after, before, state, d + d * d, lane, lanes)
+        _store_if(running, turned, frame, state, d, lane, lanes)
+
+
+@inner_kernel(inline="code")
+def _store_if(condition, values, before, fields, first, lane, lanes):
+    """Store values where a condition holds, else what was there before."""
+    for k in range(len(values)):
+        fields[(first + k) * lanes + lane] = values[k] if condition else before[k]
 
 
 @kernel

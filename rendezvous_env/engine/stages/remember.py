@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
+from ...graphs.edges import pair_index
 from ...physics.random_streams import SENSING, mix, stream_key
 from ...sensors.chance import gaussian, step_key, unit_number
 from ..memory import lane_count, sensed_step
@@ -18,7 +19,7 @@ DETECTED, DRIFTED, OUTLIER, OBSERVER = range(1, 5)
 """Parts of the stream of sensing."""
 _PART = np.uint64(0x9E6C63D0876A9A47)
 _FARTHEST = np.float32(6.34)  # of ``gaussian``; once in 4·10⁹ numbers beyond it
-_ONE_BIT, _MOST = np.uint32(1), np.float32(1.0 - 2.0**-24)
+_ONE_BIT, _MOST, _ZERO = np.uint32(1), np.float32(1.0 - 2.0**-24), np.float32(0.0)
 _ROUNDING = 1e-9  # Share of a sample period by which a step may miss a sample
 
 
@@ -70,31 +71,40 @@ def is_due(width, moves, samples_per_step, environment):
 
 @kernel
 def remember_detection(
-    width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
+    width, first, last, moves, redraws, seeds, episodes, environments, keys, words, memory
 ):
-    """The u of every ordered pair: kept with this probability, else drawn anew. Working memory:
-    keys (2, L), words (3, 4, L).
+    """The u of every ordered pair: kept, or drawn anew by the ``Redraws`` of the observer. Working
+    memory: keys (2, L), words (3, 4, L).
     """
-    # of the words that draw anew, those from ``low`` on, u is the rank
-    low = np.uint32(min(math.ceil(kept * 2.0**32), 2.0**32 - 2.0**10))
-    scale = np.float32(2.0 / (2.0**32 - float(low)))
+    n = len(redraws.lowest)
     for block in range(first, last):
         part_keys(width, block, moves, DETECTED, seeds, episodes, environments[block], keys)
         parities(width, moves, environments[block], words[0])
         odd, begins = words[0, 0], words[0, 1]
-        for couple in range(memory.shape[2] // 2):
-            halve(width, keys[1], couple, words[1, 0], words[1, 1])
-            for side in range(2):
-                even_step = memory[block, 0, 2 * couple + side]
-                odd_step = memory[block, 1, 2 * couple + side]
-                for lane in range(lane_count(width)):
-                    word, is_odd = words[1, side, lane], odd[lane] != 0
-                    a, b = even_step[lane], odd_step[lane]
-                    rank = np.float32(np.int32(np.uint32(word - low) >> _ONE_BIT)) * scale
-                    now = (a if is_odd else b) if word < low else min(rank, _MOST)
-                    now = unit_number(word) if begins[lane] != 0 else now
-                    even_step[lane] = a if is_odd else now
-                    odd_step[lane] = now if is_odd else b
+        for one in range(n):
+            for other in range(one + 1, n):
+                couple = pair_index(one, other, n)
+                halve(width, keys[1], couple, words[1, 0], words[1, 1])
+                for side in range(2):
+                    observer, number = (other if side else one), 2 * couple + side
+                    low, scale = redraws.lowest[observer], redraws.scales[observer]
+                    kept = memory[block, 0, number], memory[block, 1, number]
+                    _redraw(width, low, scale, words[1, side], odd, begins, kept[0], kept[1])
+
+
+@inner_kernel(inline="code")
+def _redraw(width, low, scale, words, odd, begins, even_step, odd_step):
+    """Keep or redraw the u of an ordered pair in every lane: of the words that draw anew, those
+    from ``low`` on, u is the rank.
+    """
+    for lane in range(lane_count(width)):
+        word, is_odd = words[lane], odd[lane] != 0
+        a, b = even_step[lane], odd_step[lane]
+        rank = np.float32(np.int32(np.uint32(word - low) >> _ONE_BIT)) * scale
+        now = (a if is_odd else b) if word < low else min(rank, _MOST)
+        now = unit_number(word) if (begins[lane] != 0) | (scale == _ZERO) else now
+        even_step[lane] = a if is_odd else now
+        odd_step[lane] = now if is_odd else b
 
 
 @kernel

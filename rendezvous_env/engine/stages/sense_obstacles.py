@@ -197,14 +197,15 @@ def sense_indexed(
     rows,
     clearance,
 ):
-    """Sense 2-D shapes by a spatial index, in blocks of one environment.
+    """Sense 2-D shapes by a spatial index of tables of obstacles, in blocks of one environment.
 
     The numbers are those of ``sense_discs`` and ``sense_shapes``; with fewer slots than obstacles,
     those that ``keep_nearest`` leaves. Working memory: silhouette (2, d), listed and distances
     (M,).
     """
     for b in range(first, last):
-        world = obstacles_of(obstacles, b)
+        table = index.source[b]
+        world = obstacles_of(obstacles, table)
         for i in range(robots.shape[1]):
             row, nearest = rows[b - first, i], np.inf
             numbers = row[own : own + 2 * slots].reshape(-1)
@@ -212,7 +213,9 @@ def sense_indexed(
                 numbers[k] = _ZERO
             if merged_into[b, i] == i:
                 point = load_point(robots[b, i], 0, 0, 1, 2)
-                nearest, count = _find_near(world, index, b, point, reach, slots, listed, distances)
+                nearest, count = _find_near(
+                    world, index, table, point, reach, slots, listed, distances
+                )
                 frame = load_fields(robots[b, i], 2, 0, 1, entries)
                 for k in range(count):
                     m, place = listed[k], own + 2 * (listed[k] if slots >= len(listed) else k)
@@ -224,13 +227,13 @@ def sense_indexed(
 
 
 @inner_kernel
-def _find_near(world, index, b, point, reach, slots, listed, distances):
+def _find_near(world, index, table, point, reach, slots, listed, distances):
     """List the obstacles in range, at most the nearest ``slots``, in their order.
 
     Returns the distance to the nearest obstacle, m, and the length of the list.
     """
-    order, boxes, groups = index.order[b], index.boxes[b], index.groups[b]
-    start, nearest, count = nearest_group(index, b, point), np.inf, 0
+    order, boxes, groups = index.order[table], index.boxes[table], index.groups[table]
+    start, nearest, count = nearest_group(index, table, point), np.inf, 0
     for number in range(groups.shape[0]):  # the nearest group, then the others in their order
         g = start if number == 0 else number - 1 if number <= start else number
         if not square_distance(groups[g], point) <= max(reach, nearest) ** 2:

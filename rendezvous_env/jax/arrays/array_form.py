@@ -19,6 +19,7 @@ import numpy as np
 
 from ...physics import random_streams as engine_streams
 from ...physics.potential import bearing_factor
+from ...physics.trigonometry import cos_sin
 from ...physics.vectors import dot, split, store
 from . import random_streams
 from .selection import HELPERS, divided, is_static, rewritten
@@ -145,6 +146,11 @@ def _array_value(value: Any) -> Any:
 @replaces(bearing_factor)
 def _bearing_factor(gain: Any, distance: Any) -> Any:
     return divided(gain, distance)
+
+
+@replaces(cos_sin)
+def _cos_sin(angle: Any) -> Any:
+    return _MATH.cos(angle), _MATH.sin(angle)
 
 
 def norm_of(a: Any) -> Any:

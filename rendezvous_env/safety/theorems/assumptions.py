@@ -174,20 +174,14 @@ def departs_in(scenario: Scenario, *names: str) -> bool:
     return all(getattr(own, name) == value for name, value in exact if name not in names)
 
 
-def flawed_by(flaw: str, otherwise: str) -> Assumption:
-    """The given field of ``Sensing``, a single number, is the only imperfection."""
-
-    def holds(scenario: Scenario, asked: Asked) -> str:
-        sensing = scenario.sensing
-        names = ("delay", "delay_time") if flaw == "delay" else (flaw,)
-        levels = [getattr(sensing, name) for name in names]
-        alone = any(isinstance(level, int | float) and level > 0 for level in levels)
-        alone = alone and departs_in(scenario, *names)
-        if alone and asked.error == 0.0:
-            return ""
-        return f"none: {otherwise} ({scenario.sensing.departures()})"
-
-    return holds
+def only_late(scenario: Scenario, asked: Asked) -> str:
+    """A delay, the same for all robots or not, is the only imperfection."""
+    names = "delay", "delay_time"
+    late = any(scenario.sensing.largest(name) > 0 for name in names)
+    if late and departs_in(scenario, *names) and asked.error == 0.0:
+        return ""
+    otherwise = "theorem E1 is for bearings that are late and nothing else"
+    return f"none: {otherwise} ({scenario.sensing.departures()})"
 
 
 _CHANCE = "dropout", "detection", "persistence", "sample_period"

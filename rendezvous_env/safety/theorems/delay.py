@@ -1,7 +1,8 @@
 """Theorems E1 and E3: law (1) on bearings of the past, delayed or held by clocks of the robots.
 
-**E1.** Fixed, undirected, connected graph; law (1) with exact bearings delayed by k steps,
-(k+1) τ ≤ r/(2D̄), also at merges; single integrators with fixed frames; no obstacles.
+**E1.** Fixed, undirected, connected graph; law (1) with exact bearings delayed by k steps, or by at
+most k if robots differ, (k+1) τ ≤ r/(2D̄), also at merges; single integrators with fixed frames; no
+obstacles.
 
 With s = min(1, v_max/D̄):
 
@@ -56,7 +57,9 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
     slowest = min(1.0, scenario.min_speed_limit / degree) * known.min_bearing_square(scenario)
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
-    words = f"theorem E1: law (1) meets in finite time on bearings {counted(late, 'step')} late"
+    most_late = "up to " * bool({"delay", "delay_time"} & {*scenario.sensing.per_robot})
+    steps = f"{most_late}{counted(late, 'step')}"
+    words = f"theorem E1: law (1) meets in finite time on bearings {steps} late"
     return Bounds(words, meets=True, time=time, lyapunov=most)
 
 
@@ -136,8 +139,7 @@ def drawn_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(expected_time=float(known.over_rate(most + (n - 1) * n * cut, fall)))
 
 
-_late = given.flawed_by("delay", "theorem E1 is for bearings that are late and nothing else")
-_LATE = *given.TEAM, _late, given.no_obstacles, small_delay, given.frames_stay
+_LATE = *given.TEAM, given.only_late, given.no_obstacles, small_delay, given.frames_stay
 _ACTED = asynchronous, *given.UNHINDERED, given.exact_bearings
 _HELD = *_ACTED, given.frames_stay, bounded_wait, short_hold
 _STOPPED = *_ACTED, given.certified_or_scaled

@@ -3,7 +3,7 @@
 **Sensor.** All rows are refreshed together, at most h apart, h = τ without a sample period, and
 held. Given the past, link ij is detected with probability p(‖p_ij‖) ≥ q, independently per ordered
 pair; with persistence it is redrawn with probability 1 − κ, and unchanged otherwise. In E[L] robots
-may differ in p, and q is that of the robot that detects least.
+may differ in p and κ; q is the least and κ the largest of all robots.
 
 **E[T].** Undirected connected graph, no velocity scaling; white noise is allowed. γ is the mean
 cosine of the noise, p ≤ p̄, and X ≥ 2q c_m the sum of all ‖Σ_j p_ij a_ij g_ij‖. Then
@@ -62,25 +62,36 @@ class Detection(NamedTuple):
 
 
 def detection_of(scenario: Scenario) -> Detection:
-    """Detection probabilities, persistence and sample times of a scenario's sensor."""
-    sensing, r = scenario.sensing, scenario.merge_radius
-    table = np.array(sensing.detection or ((0.0, 1.0),))
-    table = table * (1.0, 1.0 - sensing.largest("dropout"))  # of the robot that detects least
-    nearest = r * (_NEARER if sensing.detection else 1.0)
+    """Detection probabilities, persistence and sample times, the worst of a scenario's sensors."""
+    sensing, n = scenario.sensing, scenario.n_robots
+    dropout, persistence = (sensing.each(name, n).tolist() for name in ("dropout", "persistence"))
+    own = {*zip(sensing.tables(n), dropout, persistence, strict=True)}
+    found = [_detection_by(scenario, *one) for one in own]
+    return found[0]._replace(
+        least=min(one.least for one in found), kept=max(one.kept for one in found)
+    )
+
+
+def _detection_by(
+    scenario: Scenario, detection: tuple[tuple[float, float], ...], dropout: float, time: float
+) -> Detection:
+    """``detection_of`` a robot with this table, dropout and time constant of detection, s."""
+    r, table = scenario.merge_radius, np.array(detection or ((0.0, 1.0),))
+    table = table * (1.0, 1.0 - dropout)
+    nearest = r * (_NEARER if detection else 1.0)
     first = nearest, float(np.interp(nearest, table[:, 0], table[:, 1]))
     d, p = np.vstack([first, table[table[:, 0] > nearest]]).T
     slope = np.max(np.diff(p) / np.diff(d), initial=0.0)
-    per_sample = sensing.sample_period / scenario.tau
+    per_sample = scenario.sensing.sample_period / scenario.tau
     # rounding of the ratio, beyond which a sample may come a step early or late
     few = max(1, math.floor(per_sample * (1.0 + 1e-15)))
     many = max(1, math.ceil(per_sample * (1.0 - 1e-15)))
-    remembers = sensing.persistence > 0.0 and p.min() < 1.0
-    kept = math.exp(-few * scenario.tau / sensing.persistence) if remembers else 0.0
+    remembers = time > 0.0 and p.min() < 1.0
     return Detection(
         least=max(float(p.min()) - ROUNDED * (p.min() < 1.0), 0.0),
         most=float(p.max()),
         curvature=float((r * p / d).max() + r * slope),
-        kept=kept,
+        kept=math.exp(-few * scenario.tau / time) if remembers else 0.0,
         shortest=few * scenario.tau,
         longest=many * scenario.tau,
     )
@@ -217,9 +228,9 @@ def rows_keep_their_frame(scenario: Scenario, asked: Asked) -> str:
 
 def detects_alike(scenario: Scenario, asked: Asked) -> str:
     """Two linked robots detect each other with the same probability, for U to be a potential."""
-    dropout = scenario.sensing.dropout
-    if isinstance(dropout, tuple):
-        return f"none: sensing.dropout is {list(dropout)}; theorem E[T] needs one for all robots"
+    for name in ("dropout", "detection", "persistence"):
+        if given := scenario.sensing.list_given(name):
+            return f"none: sensing.{name} is {given}; theorem E[T] needs one for all robots"
     return ""
 
 
