@@ -31,7 +31,7 @@ class Cones(NamedTuple):
 
 
 def any_of(vector: Triple) -> Array:
-    """Where a vector is not zero."""
+    """Mask of vectors other than zero."""
     return (vector[0] != 0.0) | (vector[1] != 0.0) | (vector[2] != 0.0)
 
 
