@@ -6,6 +6,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 SITE := import sysconfig; print(sysconfig.get_path('purelib'))
 export OMP_WAIT_POLICY := PASSIVE
+# tests start hundreds of processes, which would all compile the same files to bytecode
+export PYTHONDONTWRITEBYTECODE :=
 
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
@@ -89,9 +91,11 @@ docs: .venv/installed
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable .
 	touch $@
 
+# bytecode by all cores, where pip would use one; packages may hold files for other Pythons
 .venv/installed: .venv/run
-	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,jax,maps,logs,docs,dev]'
+	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt torch==2.13.0
+	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt --editable '.[train,render,analysis,export,jax,maps,logs,docs,dev]'
+	$(BIN)/python -m compileall -qq -j 0 "$$($(BIN)/python -c "$(SITE)")" || true
 	touch $@
 
 .venv-lint/installed: constraints-lint.txt
@@ -114,14 +118,15 @@ docs: .venv/installed
 	touch $@
 
 # It stands on .venv, whose pip serves, and adds only what that lacks, not torch. A learner's
-# pins hold against ours; what pip cannot be told in a file, its script install does.
+# pins hold against ours; what pip cannot be told in a file, its script install does. Bytecode
+# is written at the first import: of most modules there is none.
 .venv-adapters/%/installed: tests/adapters/%/requirements.txt .venv/installed
 	test -x .venv-adapters/$*/bin/python || $(PYTHON) -m venv --without-pip .venv-adapters/$*
 	echo "import site; site.addsitedir('$$($(BIN)/python -c "$(SITE)")')" \
 		> "$$(.venv-adapters/$*/bin/python -c "$(SITE)")/beneath.pth"
 	sed --regexp-extended 's/[^A-Za-z0-9_.-].*/==/; s/^/^/' $< | grep -v --file - constraints.txt \
 		> .venv-adapters/$*/constraints.txt
-	.venv-adapters/$*/bin/python -m pip install --quiet \
+	.venv-adapters/$*/bin/python -m pip install --quiet --no-compile \
 		--constraint .venv-adapters/$*/constraints.txt --requirement $<
 	test ! -x tests/adapters/$*/install || tests/adapters/$*/install .venv-adapters/$*/bin
 	touch $@

@@ -122,12 +122,12 @@ class FilteredPolicy(DecidingPolicy):
 
     def _decide(self, teams: Float32, due: Mask) -> None:
         before = None if due.all() else self._filter.get_state()
-        seen = self._as_given(self._filter.observe(teams)).copy()  # the filter keeps its own
+        seen = self._as_given(self._filter.observe(teams)).copy()  # the filter has its own memory
         choices = np.asarray(self.choose(seen))
         wanted = *seen.shape[:-2], self._filter.action_size
         if choices.shape != wanted:
             needed = f"(..., n, k) = {wanted}, with k = {wanted[-1]} {self._meaning_of_choices()}"
-            raise ValueError(f"choose gave an array of shape {choices.shape}; it must be {needed}")
+            raise ValueError(f"choose returned shape {choices.shape}; it must be {needed}")
         self._filter.hold(choices.reshape(len(teams), *wanted[-2:]))
         if before is not None:
             now = self._filter.get_state()
@@ -161,7 +161,7 @@ class FilteredPolicy(DecidingPolicy):
 
 
 class HeadingPolicy(FilteredPolicy):
-    """A function that chooses heading vectors, under the filter of ``HeadingVectorWrapper``.
+    """Function that chooses heading vectors, with the filter of ``HeadingVectorWrapper``.
 
         ṗᵢ = hᵢ hᵢᵀ fᵢ,   hᵢ the certified heading of the chosen vector     (Zhao & Zheng, eq. 4)
 
@@ -169,9 +169,9 @@ class HeadingPolicy(FilteredPolicy):
         scenario: the experiment.
         choose: observations (..., n, rows, d), zero for merged robots, → vectors (..., n, d) of any
             length in the same frames; for nonholonomic robots → turn rates (..., n, d − 1) in units
-            of the maximum (theory 3). In teams of both, (..., n, d): turn rates are the first
-            d − 1. Called once per ``decision_period`` for the whole batch. A method
-            ``reset(mask)`` is called with the policy's.
+            of the maximum (theory 3). In mixed teams, (..., n, d): turn rates are the first d − 1.
+            Called once per ``decision_period`` for the whole batch. A method ``reset(mask)`` is
+            called with the policy's.
         decision_period: number of steps for which a vector is held.
         settings: those of ``HeadingVectorWrapper``: ``min_alignment=0.1``, ``max_turn_rate=3.0``,
             ``frame="net_bearing"``, ``certified=True``, ``bearing_error=0.0``.
@@ -204,10 +204,10 @@ class HeadingPolicy(FilteredPolicy):
 
 
 class TankPolicy(FilteredPolicy):
-    """A function that chooses velocities, under the filter of ``EnergyTankWrapper`` (theorem D).
+    """Function that chooses velocities, with the filter of ``EnergyTankWrapper`` (theorem D).
 
-    The policy does not observe contacts and merges. Each step is booked as commanded and lasts τ
-    (also in ``RobotPolicy``); the stored energy of an absorbed robot is lost; stored energy does
+    The policy does not observe contacts and merges. Each step counts as commanded and lasts τ
+    (also in ``RobotPolicy``); the stored energy of a merged robot is lost; stored energy does
     not follow V. On complete graphs of equal weights the time bound of ``certificate(by="tank")``
     therefore applies to the wrapper only (docs/guarantees.md).
 

@@ -1,4 +1,4 @@
-"""Checks of what a network gives for a batch of robots: choices, or vectors."""
+"""Validation of a network's outputs for a batch of robots: choices, or vectors."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,7 @@ from .records import Array
 def check_choices(choices: ArrayLike, shape: tuple[int, ...], count: int) -> NDArray[np.int64]:
     """Choices of shape (B, n) as integers below ``count``.
 
-    A ValueError names the robot of a wrong one.
+    A ValueError names the robot of an invalid one.
     """
     numbers, given = floats("actions", choices), np.asarray(choices)
     check_shape("actions", given, shape, axes="(B, n)")

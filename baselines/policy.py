@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import Registry, bools, choice, raise_invalid, short_repr
+from rendezvous_env.deprecation import warn_renamed
 from rendezvous_env.field_checks import known_fields
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
@@ -61,7 +62,7 @@ class TeamPolicy(ABC):
 
     @property
     def guarantee(self) -> dict[str, Any] | None:
-        """Arguments of ``certificate`` that hold for the policy; None if it keeps no guarantee."""
+        """Arguments of ``certificate`` for the policy; None without a guarantee."""
         return None
 
     @abstractmethod
@@ -91,7 +92,7 @@ class TeamPolicy(ABC):
         for name, seen in observations.items():
             if name not in robots:
                 known = f"they are robot_0 to robot_{n - 1}"
-                raise KeyError(f"no robot is called {short_repr(name)}; {known}")
+                raise KeyError(f"there is no robot {short_repr(name)}; {known}")
             given = np.asarray(seen)
             if given.shape not in (layout.shape, (table[0].size,)):
                 raise ValueError(
@@ -155,8 +156,8 @@ KINDS = {
     "tank": "rules under an energy tank",
     "own": "policies of users",
     "learned": "learned policies",
-    "privileged": "oracle baselines, which know the map and all positions",
-    "blind": "blind baselines, which see nothing",
+    "privileged": "oracle baselines, which use the map and all positions",
+    "blind": "blind baselines, which ignore observations",
 }
 """Kinds of policies, in the order of lists and tables."""
 
@@ -169,6 +170,13 @@ class _Entry(NamedTuple):
 
 
 _registry: dict[str, _Entry] = {}
+_FORMER = {
+    "tangent-joined": "tangent-merged",
+    "tangent-joined-certified": "tangent-merged-certified",
+    "tangent-joined-tuned": "tangent-merged-tuned",
+    "tank-joined": "tank-merged",
+}
+"""Deprecated names of policies."""
 AT_PATH = "learned:"
 """Prefix of the path of a learned policy in a name."""
 _readers: dict[str, Callable[[str, Scenario], Policy]] = {}
@@ -220,27 +228,39 @@ def register_reader(prefix: str, read: Callable[[str, Scenario], Policy]) -> Non
     _readers[prefix] = read
 
 
-# The next four raise a KeyError for a name that is not registered.
+def current_name(name: str) -> str:
+    """Name of a policy that may be given by a deprecated name; other names are returned as given.
+
+    A policy that users register under a deprecated name keeps it.
+    """
+    return name if name in _registry else _FORMER.get(name, name)
+
+
+# The next four raise a KeyError for an unregistered name; deprecated ones are accepted.
 
 
 def kind_of(name: str) -> str:
     """Kind of a policy, one of KINDS."""
-    return "learned" if name.startswith(AT_PATH) else _registry[name].kind
+    return "learned" if name.startswith(AT_PATH) else _entry(name).kind
 
 
 def on_request(name: str) -> bool:
     """True if a comparison includes a policy only if named."""
-    return _registry[name].on_request
+    return _entry(name).on_request
 
 
 def builder_of(name: str) -> Callable[..., Policy]:
     """Builder of a policy."""
-    return _registry[name].build
+    return _entry(name).build
 
 
 def about(name: str) -> str:
     """One-line description of a policy, from its builder's docstring; empty without one."""
-    return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")
+    return (inspect.getdoc(_entry(name).build) or "").partition("\n")[0].rstrip(".")
+
+
+def _entry(name: str) -> _Entry:
+    return _registry[current_name(name)]
 
 
 def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -> Policy:
@@ -248,7 +268,7 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
 
     ``name`` is one of ``names(scenario)``, or "learned:PATH" of a training run, a checkpoint or an
     exported network; a Path is equivalent. ``options`` are those of the policy, for example
-    ``clearance`` of "tangent-joined".
+    ``clearance`` of "tangent-merged".
 
     Raises:
         ValueError: for an unknown name or option, or a policy that does not fit the scenario; the
@@ -261,6 +281,9 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         if isinstance(name, str) and name.startswith(prefix):
             known_fields(options, (), f"policy {short_repr(name)}", "option")
             return read(name.removeprefix(prefix), scenario)
+    if isinstance(name, str) and (current := current_name(name)) != name:
+        warn_renamed(f"policy {name!r}", repr(current))
+        name = current
     fitting = names(scenario)
     if not isinstance(name, str) or name not in fitting:
         known = "is unknown"
@@ -306,8 +329,8 @@ is_double_integrator = of_model("double_integrator")
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:
     """Limit actions (..., n, a), or (..., a), to the scenario's bounds.
 
-    Velocities and accelerations are scaled to their limit with their direction kept, also in teams
-    of several models; speeds and turn rates of the other models are clipped one by one.
+    Velocities and accelerations are scaled to their limit with their direction kept, also in mixed
+    teams; speeds and turn rates of the other models are clipped individually.
     """
     for_each = scenario.per_robot and actions.shape[-2:-1] == (scenario.n_robots,)
     bounds = scenario.robot_bounds if for_each else scenario.action_bounds

@@ -12,15 +12,15 @@ from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from . import policy as registry
 from .laws.paper_laws import LAW_OF_MODEL
+from .observation_builder import ObservationBuilder
 from .policy import Policy, RealTimePolicy
-from .robot_sight import RobotSight
 from .steering import check_steerable
 
 _KINDS = ("law", "rule", "learned")
 """Kinds whose policies are independent of robot indices and of the number of calls."""
 
 
-_BELOW = 1.0 - 1e-15  # fraction of a limit, so that rounding exceeds none
+_BELOW = 1.0 - 1e-15  # fraction of a limit in use, so that rounding does not exceed it
 
 
 def _within_limits(action: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float64]:
@@ -53,7 +53,7 @@ class OneRobot:
     ) -> None:
         self.scenario, self.policy = scenario, policy
         layout, team = scenario.observation_layout, team or scenario
-        self._sight = RobotSight(layout, scenario.max_degree, gain)
+        self._builder = ObservationBuilder(layout, scenario.max_degree, gain)
         self._time = -1.0  # before the first tick
         shape = team.observation_layout.shape
         self._team = np.zeros((1, team.n_robots, *shape), dtype=np.float32)
@@ -97,7 +97,7 @@ class OneRobot:
             ValueError: naming the argument, its value and the remedy; the state is then unchanged.
         """
         elapsed = self.scenario.tau if dt is None else positive("dt", dt, "s")
-        rows = self._sight.rows(bearings, obstacles, weights, gravity)
+        rows = self._builder.rows(bearings, obstacles, weights, gravity)
         self._team[0, self._robot, : len(rows)] = rows
         self._time = self._time + elapsed if self._time >= 0.0 else 0.0
         if isinstance(self.policy, RealTimePolicy):
@@ -110,7 +110,7 @@ class OneRobot:
     def reset(self) -> None:
         """Reset all memory; the next tick is the first."""
         self._time = -1.0
-        self._sight.forget()
+        self._builder.forget()
         if hasattr(self.policy, "reset"):
             self.policy.reset()
 
@@ -130,8 +130,8 @@ class RobotPolicy(OneRobot):
             of a run, a checkpoint or an exported network, as a Path or as "learned:PATH"; or a
             policy of the whole team or of ``scenario.of_robot(robot)``, by its ``scenario``.
         robot: index of the robot if models or limits of robots differ. The robot gets the actions
-            of the policy for this index. In teams of several models, named policies are those of
-            its own model, and "by-model" is the law of that model.
+            of the policy for this index. In mixed teams, named policies are those of its model, and
+            "by-model" is the law of that model.
         options: options of a named policy. Errors are those of ``act``.
     """
 
@@ -215,9 +215,9 @@ def of_one_robot(
 ) -> tuple[Scenario, Scenario, str]:
     """Scenario of a robot, that of its policy, and the policy's name.
 
-    A None robot is any, as all are equal. The policy controls the whole team if all robots have
-    the same model, with the limits of the team. In teams of several models it controls robots of
-    the model of this robot, and "by-model" is their law. A ValueError for an index out of range.
+    None stands for any robot, if all are equal. The policy controls the whole team if all robots
+    have the same model, with the limits of the team. In mixed teams it controls robots of this
+    robot's model, and "by-model" is their law. A ValueError for an index out of range.
     """
     if robot is None:
         return scenario, scenario, policy

@@ -1,4 +1,4 @@
-"""Frames and planes that do not turn with nonholonomic robots, for remembered directions.
+"""Frames and planes that do not rotate with nonholonomic robots, for stored directions.
 
 A nonholonomic robot has no compass, but its commanded rates determine its rotation since the start
 of the episode. A unicycle stores directions in its initial body frame. A 3-D robot passes obstacles
@@ -37,14 +37,14 @@ from rendezvous_env.safety.heading import scale_of_step
 from rendezvous_env.safety.turning import TINY, Robot, mean_axis, pitch_of, rates_of, robot_of
 from rendezvous_env.scenario.scenario import Scenario
 
-from .obstacle_rules.merged_silhouettes_2d import joined_interval_2d
+from .obstacle_rules.merged_intervals_2d import merged_interval_2d
+from .obstacle_rules.obstacle_edges import is_seen
 from .obstacle_rules.planes_in_space import (
     axis_is_clear_3d,
     cut_by,
     kept_azimuth,
     widened_rays,
 )
-from .obstacle_rules.silhouettes import is_seen
 from .policy import Float32
 from .records import Array, Records
 from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
@@ -55,7 +55,7 @@ class _Way(NamedTuple):
 
     robot: Robot
     aligned: float  # as ``inputs_towards``, rad
-    clearance: float  # by which cones are widened, rad
+    clearance: float  # widening of cones, rad
     keeps: float  # as ``kept_azimuth``, rad
 
 
@@ -67,8 +67,8 @@ class _Bodies(StatefulMixin):
     3-D, as in ``kept_azimuth``: PASSABLE for heading policies.
     """
 
-    _fields: Mapping[str, tuple[int, ...]]  # shapes of what is remembered of a robot
-    _yaws: str  # which of these is by how much bodies have turned
+    _fields: Mapping[str, tuple[int, ...]]  # shapes of a robot's memory
+    _yaws: str  # index of the rotation of the bodies in the memory
     _look: Any
     _follow: Any
     _turn: Any
@@ -230,7 +230,7 @@ def _look_in_planes(teams, observations, way, memory, seen):
             if strength == 0.0:
                 u = was if was != ORIGIN else X_AXIS
             angle += math.atan2(dot(u, before), dot(u, was))
-            if before == ORIGIN:  # across f, towards the neighbour that is farthest aside
+            if before == ORIGIN:  # across f, towards the neighbour farthest from the line of f
                 for k in range(K):
                     across = without(load(rows[k]), u)
                     before = across if norm(across) > norm(before) else before
@@ -241,7 +241,7 @@ def _look_in_planes(teams, observations, way, memory, seen):
             if dot(aside, before) < 0.0:  # left stays left
                 aside = scaled(aside, -1.0)
                 cut_by(u, aside, cones[0], cones[1])
-            low, high, _, _ = joined_interval_2d(X_AXIS, cones[1], cones[2])
+            low, high, _, _ = merged_interval_2d(X_AXIS, cones[1], cones[2])
             blocked = low < way.clearance and high > -way.clearance
             kept[_BLOCKED] = 1.0 if blocked else 0.0
             kept[_ANGLE] = angle
@@ -327,13 +327,13 @@ def _turn_in_planes(teams, actions, way, memory, velocities):
             store(_in_plane(velocity, plane), velocities[team, i])
 
 
-class SteadyPlanes(_Bodies):
+class OdometryPlane(_Bodies):
     """Planes of the 3-D robots of B environments; the counterpart of ``OdometryFrame``.
 
         (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + rotation of f in the plane
 
     While an obstacle in its plane blocks f, but is not too wide, a robot keeps the plane as f
-    turns. Otherwise it takes the plane with the smallest turn, and its memory is rotated about f.
+    rotates. Otherwise it uses the plane with the smallest turn, and its memory is rotated about f.
     """
 
     _fields, _yaws = _IN_PLANES, "yaws"

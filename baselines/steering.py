@@ -32,7 +32,7 @@ ALIGNED_IN_SPACE = 1.0  # larger, as pitch turns slowly, and driving with a clea
 WITHIN = 1.0 - 1e-6
 """Fraction of the speed limit in use.
 
-Rounding to float32 then exceeds no limit, and commands equal the values booked by a tank."""
+Rounding to float32 then exceeds no limit, and commands equal the values used by a tank."""
 
 
 turns = of_model("unicycle", "nonholonomic_3d")

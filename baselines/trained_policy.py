@@ -21,7 +21,7 @@ from rendezvous_env.vector import training_env
 
 from .filtered_policies import DecidingPolicy, FilteredPolicy, guarantee_with
 from .learned import checkpoints, learned_policy
-from .learned.learned_policy import GuidedPolicy, LearnedPolicy
+from .learned.learned_policy import ControllerPolicy, LearnedPolicy
 from .learned.onnx_network import SUFFIX, checked_session
 from .learned.training_environment import FeatureVectorEnv
 from .policy import AT_PATH, Float32, Mask, TeamPolicy, register_reader, within_limits
@@ -38,7 +38,7 @@ class TrainedPolicy(TeamPolicy):
 
     ``compare``, ``report``, ``render`` and ``rollout`` accept it like any other policy.
     Observations, decision period and guarantee are those of ``vector.training_env`` with the same
-    arguments. As on a robot, contacts and merges are not observed: a tank books every step as
+    arguments. As on a robot, contacts and merges are not observed: for a tank every step counts as
     commanded.
 
     Args:
@@ -79,7 +79,7 @@ class TrainedPolicy(TeamPolicy):
         takes: Collection[str] = ()
         with suppress(TypeError, ValueError):  # compiled functions may have no signature
             takes = signature(predict).parameters
-        self._told = {"deterministic": True} if "deterministic" in takes else {}
+        self._options = {"deterministic": True} if "deterministic" in takes else {}
         self._arguments = {"on_merge": "follow", **arguments, "autoreset_mode": "Disabled"}
         env = training_env(scenario, 1, **self._arguments)
         self.scenario = chosen = env.scenario
@@ -143,7 +143,7 @@ class TrainedPolicy(TeamPolicy):
 
     def choices(self, seen: Float32) -> NDArray[Any]:
         """Output of the model for observations (N, …)."""
-        found = self._predict(seen, **self._told)
+        found = self._predict(seen, **self._options)
         return np.asarray(found[0] if isinstance(found, tuple) else found)
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
@@ -197,7 +197,7 @@ def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy 
 def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPolicy:
     """Policy of a model in an ONNX file, run by onnxruntime."""
     session = checked_session(path, content)
-    with checkpoints.refusing(path, "is no policy of this version"):
+    with checkpoints.refusing(path, "is not a policy of this version"):
         about = json.loads(session.get_modelmeta().custom_metadata_map[ARGUMENTS_KEY])
         shape, arguments = tuple(about["shape"]), about["arguments"]
 
@@ -213,7 +213,7 @@ def _load_model(path: Path, content: bytes, scenario: ScenarioLike) -> TrainedPo
 register_reader(AT_PATH, load)
 
 
-class _PresetPolicy(GuidedPolicy):
+class _PresetPolicy(ControllerPolicy):
     """Policy with the observations and base controller of the shipped policies."""
 
     def __init__(self, scenario: Scenario, ask: Predict, env: FeatureVectorEnv) -> None:
@@ -226,4 +226,4 @@ class _PresetPolicy(GuidedPolicy):
 
     def _choose(self, shown: Float32, due: Mask) -> None:
         self._held[due] = self._ask(shown)[due]
-        (self._guided.choose if self._discrete else self._guided.head)(self._held)
+        (self._controller.choose if self._discrete else self._controller.head)(self._held)

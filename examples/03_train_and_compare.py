@@ -13,7 +13,7 @@ from train.learn import ppo
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=200_000)
-parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--num-envs", type=int, default=128)
 parser.add_argument("--episodes", type=int, default=50)
 parser.add_argument("--out", type=Path, default=None, help="folder; a temporary one by default")
 given = parser.parse_args()
@@ -23,7 +23,7 @@ ppo.run(
     ppo.Config(
         scenario="clutter-8",
         total_steps=given.steps,
-        num_envs=given.teams,
+        num_envs=given.num_envs,
         batch_size=2048,
         out=out / "run",
         eval_every=0,
@@ -33,7 +33,7 @@ learned = f"learned:{out / 'run'}"
 compare.run(
     compare.Config(
         scenarios=("clutter-8",),
-        policies=("bearing-only", "tangent-joined-tuned", learned),
+        policies=("bearing-only", "tangent-merged-tuned", learned),
         episodes=given.episodes,
         out=out / "compare",
         figures=False,

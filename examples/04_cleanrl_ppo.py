@@ -18,7 +18,7 @@ from rendezvous_env.adapters.slots import RobotSlots
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
 parser.add_argument("--updates", type=int, default=150)
-parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--num-envs", type=int, default=128)
 parser.add_argument("--steps", type=int, default=32)
 parser.add_argument("--held-out", type=int, default=500, help="initial conditions for evaluation")
 parser.add_argument("--seed", type=int, default=0)
@@ -30,12 +30,12 @@ torch.manual_seed(given.seed)
 torch.set_num_threads(1)  # the network is small
 
 
-def make(teams: int) -> RobotSlots:
+def make(num_envs: int) -> RobotSlots:
     """Robots that choose a raw heading every 12 steps; the first contact costs 1."""
     return RobotSlots(
         rv.vector.training_env(
             given.scenario,
-            teams,
+            num_envs,
             guarantee="heading",
             learning_preset=False,
             decision_period=12,
@@ -45,7 +45,7 @@ def make(teams: int) -> RobotSlots:
     )
 
 
-robots = make(given.teams)
+robots = make(given.num_envs)
 size, moves = robots.single_observation_space.shape[0], robots.single_action_space.shape[0]
 
 
@@ -84,7 +84,7 @@ def judge() -> str:
 
 
 print("before:", judge(), flush=True)
-seen, shape = robots.reset(given.seed), (given.steps, given.teams * robots.n_robots)
+seen, shape = robots.reset(given.seed), (given.steps, given.num_envs * robots.n_robots)
 samples = 0
 for update in range(given.updates):
     optimiser.param_groups[0]["lr"] = 1e-3 * (1 - update / given.updates)

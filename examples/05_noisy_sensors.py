@@ -86,14 +86,14 @@ def draw(rows, path):
             )  # fmt: skip
         axes.set(title=name, xlabel="noise / rad")
         axes.grid()
-    panels[0].set_ylabel("met without a contact / % of starts")
+    panels[0].set_ylabel("met without a contact / % of episodes")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     style.save(figure, path)
 
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenarios", nargs="+", default=["clutter-8", "clutter-16"])
-parser.add_argument("--policies", nargs="+", default=["tangent-joined-tuned", "learned"])
+parser.add_argument("--policies", nargs="+", default=["tangent-merged-tuned", "learned"])
 parser.add_argument("--sensors", nargs="+", default=list(SENSORS), choices=list(SENSORS))
 parser.add_argument("--episodes", type=int, default=200)
 parser.add_argument("--seed", type=int, default=5000)

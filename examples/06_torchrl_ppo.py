@@ -16,12 +16,12 @@ from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
 import rendezvous_env as rv
 from rendezvous_env import baselines
-from rendezvous_env.adapters.torchrl import RendezvousEnv
+from rendezvous_env.adapters.torchrl import RendezvousTorchRLEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
 parser.add_argument("--updates", type=int, default=30)
-parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--num-envs", type=int, default=128)
 parser.add_argument("--steps", type=int, default=16)
 parser.add_argument("--held-out", type=int, default=200)
 parser.add_argument("--seed", type=int, default=0)
@@ -31,8 +31,8 @@ SEEN, ACTION = ("robots", "observation"), ("robots", "action")
 
 torch.manual_seed(given.seed)
 torch.set_num_threads(1)  # the networks are small
-env = RendezvousEnv(given.scenario, given.teams, seed=given.seed)
-held_out = RendezvousEnv(given.scenario, given.held_out)
+env = RendezvousTorchRLEnv(given.scenario, given.num_envs, seed=given.seed)
+held_out = RendezvousTorchRLEnv(given.scenario, given.held_out)
 _, n, size = env.full_observation_spec[SEEN].shape
 actions = env.full_action_spec_unbatched[ACTION]
 

@@ -27,7 +27,7 @@ parser.add_argument("--scenario", default="clutter-8")
 parser.add_argument("--guarantee", default="heading", choices=["heading", "tank"])
 parser.add_argument("--algorithm", default="mappo", choices=CONFIGS)
 parser.add_argument("--updates", type=int, default=30)
-parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--num-envs", type=int, default=128)
 parser.add_argument("--steps", type=int, default=16)
 parser.add_argument("--held-out", type=int, default=200)
 parser.add_argument("--seed", type=int, default=0)
@@ -35,7 +35,7 @@ parser.add_argument("--out", type=Path, default=None, help="folder; a temporary 
 given = parser.parse_args()
 torch.set_num_threads(1)  # the networks are small
 
-frames = given.teams * given.steps
+frames = given.num_envs * given.steps
 config = ExperimentConfig.get_from_yaml()
 config.save_folder = given.out or Path(tempfile.mkdtemp())
 config.loggers, config.render = [], False
@@ -45,7 +45,7 @@ config.evaluation_interval = given.updates * frames
 config.evaluation_episodes = given.held_out
 for kind in ("on_policy", "off_policy"):
     setattr(config, f"{kind}_collected_frames_per_batch", frames)
-    setattr(config, f"{kind}_n_envs_per_worker", given.teams)
+    setattr(config, f"{kind}_n_envs_per_worker", given.num_envs)
 config.on_policy_n_minibatch_iters, config.on_policy_minibatch_size = 4, frames // 8
 config.off_policy_n_optimizer_steps, config.off_policy_train_batch_size = 32, frames // 8
 config.off_policy_memory_size = 100_000

@@ -16,7 +16,7 @@ from rendezvous_env.vector import training_env
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
-parser.add_argument("--teams", type=int, default=64)
+parser.add_argument("--num-envs", type=int, default=64)
 parser.add_argument("--updates", type=int, default=40)
 parser.add_argument("--batch", type=int, default=4096, help="decisions of robots per update")
 parser.add_argument("--held-out", type=int, default=200, help="initial conditions for evaluation")
@@ -54,7 +54,7 @@ def judge(module):
 
 logging.getLogger("ray").setLevel(logging.ERROR)
 ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False)
-config = rllib.configure(PPOConfig(), given.scenario, num_envs=given.teams, units=64, **CHOICES)
+config = rllib.configure(PPOConfig(), given.scenario, num_envs=given.num_envs, units=64, **CHOICES)
 config.env_runners(num_env_runners=0).debugging(seed=given.seed, log_level="ERROR")
 config.training(
     train_batch_size=given.batch,

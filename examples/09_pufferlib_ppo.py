@@ -16,7 +16,7 @@ from rendezvous_env.adapters import pufferlib as robots
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
-parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--num-envs", type=int, default=128)
 parser.add_argument("--updates", type=int, default=60)
 parser.add_argument("--held-out", type=int, default=200, help="initial conditions for evaluation")
 parser.add_argument("--seed", type=int, default=0)
@@ -27,10 +27,10 @@ torch.manual_seed(given.seed)
 torch.set_num_threads(1)  # the network is small
 
 
-def make(teams, seed):
+def make(num_envs, seed):
     """Robots that choose a raw heading every 12 steps; the first contact costs 1."""
     choices = {"guarantee": "heading", "learning_preset": False, "decision_period": 12}
-    return robots.make(given.scenario, teams, seed=seed, contact_penalty=1.0, **choices)
+    return robots.make(given.scenario, num_envs, seed=seed, contact_penalty=1.0, **choices)
 
 
 def judge(policy):
@@ -48,7 +48,7 @@ def judge(policy):
     return f"{met.mean():.1%} met, {clean.mean():.1%} without a touch"
 
 
-env = make(given.teams, given.seed)
+env = make(given.num_envs, given.seed)
 policy = models.Default(env, hidden_size=128)
 print("before:", judge(policy), flush=True)
 batch = env.num_agents * HORIZON

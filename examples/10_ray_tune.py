@@ -17,9 +17,9 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-16")
 parser.add_argument("--trials", type=int, default=32)
 parser.add_argument("--steps", type=int, default=2_000_000, help="decisions per trial")
-parser.add_argument("--teams", type=int, default=256)
+parser.add_argument("--num-envs", type=int, default=256)
 parser.add_argument("--evaluations", type=int, default=8, help="per trial")
-parser.add_argument("--starts", type=int, default=100, help="episodes per evaluation")
+parser.add_argument("--eval-episodes", type=int, default=100, help="episodes per evaluation")
 parser.add_argument("--storage", type=Path, default=Path("out/search"))
 parser.add_argument("--address", default=None)
 given = parser.parse_args()
@@ -45,11 +45,11 @@ def attempt(chosen):
         **chosen,
         scenario=given.scenario,
         guarantee="tank",
-        num_envs=given.teams,
+        num_envs=given.num_envs,
         batch_size=2048,
         total_steps=given.steps,
         eval_every=given.steps // given.evaluations,
-        eval_starts=given.starts,
+        eval_episodes=given.eval_episodes,
         tensorboard=False,
         num_threads=1,
         out=folder,

@@ -13,12 +13,12 @@ from rendezvous_env.vector import training_env
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=200_000, help="decisions of robots")
-parser.add_argument("--teams", type=int, default=64)
+parser.add_argument("--num-envs", type=int, default=64)
 parser.add_argument("--episodes", type=int, default=50)
 parser.add_argument("--out", type=Path, default=Path("out/sb3"))
 given = parser.parse_args()
 
-robots = RobotVecEnv(training_env("clutter-8", given.teams))
+robots = RobotVecEnv(training_env("clutter-8", given.num_envs))
 model = PPO("MlpPolicy", robots, n_steps=32, batch_size=1024, seed=0, device="cpu")
 model.learn(given.steps)
 
@@ -29,7 +29,7 @@ def ppo(scenario):
     return baselines.TrainedPolicy(scenario, model.predict)
 
 
-names = ("tangent-joined-tuned", "ppo")
+names = ("tangent-merged-tuned", "ppo")
 compare.run(
     compare.Config(("clutter-8",), names, episodes=given.episodes, out=given.out, figures=False)
 )

@@ -121,7 +121,7 @@ given = parser.parse_args()
 looks = Looks()
 seeds = range(given.seed, given.seed + given.episodes)
 found = list(pixels.play(given.policy, seeds, looks))
-print(f"{sum(one.collision_free for one in found)} of {len(found)} teams met without a contact")
+print(f"{sum(one.collision_free for one in found)} of {len(found)} episodes met without a contact")
 for name, value in looks.summary().items():
     print(f"{name}: {value:.3g}")
 if given.film is not None:

@@ -159,7 +159,7 @@ def play(policy, seed, folder):
 
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--policy", default="tangent-joined-tuned")
+parser.add_argument("--policy", default="tangent-merged-tuned")
 parser.add_argument("--episodes", type=int, default=10)
 parser.add_argument("--seed", type=int, default=0)
 given = parser.parse_args()
@@ -170,4 +170,4 @@ with tempfile.TemporaryDirectory() as folder:
         met, touched, seconds = play(given.policy, seed, folder)
         found.append(met and not touched)
         print(f"{seed}: met {met}, touched {touched}, {seconds:.1f} s", flush=True)
-print(f"{given.policy}: {sum(found)} of {len(found)} teams met without a touch")
+print(f"{given.policy}: {sum(found)} of {len(found)} episodes met without a contact")

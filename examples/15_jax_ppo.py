@@ -39,7 +39,7 @@ def make(num_envs, mode, guarantee="heading"):
 
 env = make(given.envs, "SAME_STEP")
 layout, n = env.scenario.observation_layout, env.scenario.n_robots
-RULE = "tangent-joined-tuned" if layout.obstacle_slots else "bearing-only"
+RULE = "tangent-merged-tuned" if layout.obstacle_slots else "bearing-only"
 
 
 def new_network(key):

@@ -20,7 +20,7 @@ import rendezvous_env.jax as rj
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--figure", default="gradient.png")
 parser.add_argument("--iterations", type=int, default=30)
-parser.add_argument("--starts", type=int, default=100, help="initial conditions")
+parser.add_argument("--num-envs", type=int, default=100, help="initial conditions")
 parser.add_argument("--seconds", type=float, default=8.0, help="duration of an episode")
 parser.add_argument("--seed", type=int, default=4)
 given = parser.parse_args()
@@ -34,7 +34,7 @@ scenario = rv.Scenario(
     name="tuned-weights", n_robots=N, graph=edges.tolist(), spawn_size=4.0, max_speed=3.0,
     time_step=TAU, time_limit=given.seconds, allow_long_step=True,
 )  # fmt: skip
-env = rj.make(scenario, num_envs=given.starts, differentiable=True)
+env = rj.make(scenario, num_envs=given.num_envs, differentiable=True)
 layout, (first, second) = env.scenario.observation_layout, np.triu_indices(N, 1)
 _, begun = env.reset(given.seed)
 
@@ -47,7 +47,7 @@ def weights_of(logits):
 def play(logits):
     """Smooth times, times to rendezvous, s, and success of all initial conditions."""
     matrix = jnp.zeros((N, N)).at[edges[:, 0], edges[:, 1]].set(weights_of(logits))
-    matrix = jnp.broadcast_to((matrix + matrix.T)[..., None], (N, N, given.starts))
+    matrix = jnp.broadcast_to((matrix + matrix.T)[..., None], (N, N, given.num_envs))
     resting = jnp.zeros(env.action_space.shape)  # a step at rest observes with these weights
     seen, state, *_ = env.step(None, begun.replace(weights=matrix), resting)
 
@@ -80,7 +80,7 @@ for iteration in range(given.iterations + 1):
         print(f"iteration {iteration}: cost {value:.3f} s, {told}", flush=True)
     logits -= RATE * slope / (jnp.linalg.norm(slope) + 1e-9) * len(edges) ** 0.5
 before, after = tried[0], min((one for one in tried if one[1]), key=lambda one: one[0])
-print(f"slowest of {given.starts}: {before[0]:.2f} s before, {after[0]:.2f} s after")
+print(f"slowest of {given.num_envs}: {before[0]:.2f} s before, {after[0]:.2f} s after")
 
 plt.switch_backend("Agg")
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")

@@ -113,7 +113,7 @@ def is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
-# A check of one value takes the name of a field and its value, and returns what is kept.
+# A check of one value takes the name of a field and its value, and returns the stored value.
 
 
 def number(
@@ -226,7 +226,7 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
         raise ValueError(f"{field} is {_unreadable(value) or told}") from error
     if array.dtype.kind not in "fiub":
         raise_invalid(field, value, "numbers, each of them in the range of float64")
-    if np.can_cast(array.dtype, dtype):  # nothing to overflow, and warnings take longest to silence
+    if np.can_cast(array.dtype, dtype):  # cannot overflow, and suppressing warnings is slow
         return array.astype(dtype, copy=False)
     with np.errstate(over="ignore"):
         return array.astype(dtype)

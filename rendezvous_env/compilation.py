@@ -24,9 +24,9 @@ from .inner_code import load_environments, lower_inner_kernels
 from .kernel_cache import KernelCache, digest_of
 
 _CONFIG: Any = numba.config
-_DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden here
+_DISPATCHER: Any = CPUDispatcher  # numba's types omit overridden methods
 _COMPILER: Any = Compiler
-_PATIENCE = 2.0  # s; compiling for longer, in all, is announced
+_PATIENCE = 2.0  # s; longer total compilation is announced
 
 Inline = Literal["never", "code", "text"]
 """Inlining of a kernel into its callers.
@@ -140,7 +140,7 @@ class _Kernel(_DISPATCHER):
         self._caller_is_kernel = True
         try:
             return super().get_call_template(tuple(map(types.unliteral, args)), named)
-        finally:  # arguments that do not fit never reach ``compile``
+        finally:  # invalid arguments never reach ``compile``
             self._caller_is_kernel = False
 
     def compile(self, sig: Any) -> Any:
@@ -198,7 +198,7 @@ class _Kernel(_DISPATCHER):
         return _writable(super().typeof_pyval(val))
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        if self._inner:  # calling what has no entry would end the process
+        if self._inner:  # calling a kernel without entry would crash the process
             given = [arg.value if isinstance(arg, OmittedArg) else arg for arg in args]
             return lambda *_, **__: self.py_func(*given, **kws)
         return super()._compile_for_args(*args, **kws)
@@ -244,7 +244,7 @@ class _Wait:
 
 @contextmanager
 def _announced(function: _Kernel) -> Iterator[None]:
-    """Log, once, that compiling took long in all."""
+    """Log once if the total compilation time is long."""
     begun = time.monotonic()
     _Wait.depth += 1
     try:
@@ -286,7 +286,7 @@ def by_type(argument: str, choose: Callable[[type], Any]) -> Any:
     def decorate(described: Callable[..., Any]) -> Callable[..., Any]:
         names = list(inspect.signature(described).parameters)
         place, listed = names.index(argument), ", ".join(names)
-        # numba compares the names of arguments, so each kernel has to be called by its own
+        # numba compares names of arguments, so each kernel needs its own names
         calling = eval(f"lambda chosen: lambda {listed}: chosen({listed})")
         giving = eval(f"lambda chosen: lambda {listed}: chosen")
 

@@ -93,7 +93,7 @@ def _default(field: dataclasses.Field[Any]) -> str:
 
 
 def bounds_of(hint: Any) -> str:
-    """Requirement of an annotated field in words, as far as the annotation gives it."""
+    """Requirement of an annotated field in words; empty if unknown."""
     checks = [_words_of(check) for check in _checks_in(hint)]
     words = " or ".join(filter(None, checks))
     return f"None, or {words}" if words and _may_be_none(hint) else words

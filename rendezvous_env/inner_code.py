@@ -1,12 +1,14 @@
 """Compiled code of kernels that only other kernels call.
 
 numba makes machine code of each function and an entry for Python. A kernel called by kernels alone
-needs neither: its optimised bitcode is linked into its callers, which become machine code.
+needs neither: its bitcode is linked into its callers, which are optimised as a whole and become
+machine code. To optimise it before as well would take a fifth of the time of compiling.
 """
 
 from typing import Any
 
 import llvmlite.binding as llvm
+import numba
 from numba import _dynfunc  # type: ignore[attr-defined]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, _LowerResult, compile_result
@@ -20,15 +22,15 @@ _LIBRARY: Any = JITCodeLibrary
 class InnerLibrary(_LIBRARY):
     """Bitcode to link into other libraries; it never becomes machine code."""
 
-    is_inlined = False
-    """True for code that its callers inline: they optimise it, with their constants in it."""
-
     def finalize(self) -> None:
-        """Link the libraries of all callees; optimise unless callers inline the code."""
+        """Link the libraries of all callees.
+
+        Code of ``kernel(slp=True)`` is optimised, since callers have another setting.
+        """
         self._raise_if_finalized()
         for library in dict.fromkeys(self._linking_libraries):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-        if not self.is_inlined:
+        if numba.config.SLP_VECTORIZE:  # type: ignore[attr-defined]
             self._optimize_final_module()
         self._finalized = True
 
@@ -49,7 +51,6 @@ class InnerLowering(_LOWERING):
             return bool(super().run_pass(state))
         state.library = InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
-        state.library.is_inlined = state.flags.forceinline
         state.flags.no_compile = True
         super().run_pass(state)
         made = state["cr"]
@@ -107,7 +108,7 @@ def load_environments(compiled: Any) -> None:
 
 
 def _mark(context: Any, fndesc: Any, environment: Any, library: Any) -> Any:
-    """Object that stands for a function in numba's tables; Python cannot reach it to call it."""
+    """Placeholder of a function in numba's tables, which Python cannot call."""
     name = fndesc.qualname.split(".")[-1]
     mark = _dynfunc.make_function(
         fndesc.lookup_module(), name, "kernel without entry", 0, environment, (library,)

@@ -38,7 +38,7 @@ _PACKAGE = Path(__file__).parent / "__pycache__"
 _SOURCES = "compilation.py", "inner_code.py", "kernel_cache.py"
 _COMPILING = [Path(__file__).with_name(name) for name in _SOURCES]
 """Modules whose edits recompile every kernel."""
-_LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
+_LIBRARIES = {"llvmlite", "numba", "numpy", *sys.stdlib_module_names}
 """Libraries identified by version; the code of all other modules is followed."""
 _DIGEST_SIZE = 32
 _SIGNATURE = 3  # index of the signature in numba's pickle of a compiled function
@@ -174,7 +174,7 @@ def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> It
     for value in values:
         if hasattr(value, "targetoptions"):  # a kernel; its options affect inlining callers
             yield f"{sorted(value.targetoptions.items())} {getattr(value, 'slp', False)}"
-        value = getattr(value, "py_func", value)
+        value = getattr(value, "py_func", getattr(value, "_defn", value))  # or an intrinsic
         if not isinstance(value, FunctionType):
             text, parts = _described(value, names)
             yield text
@@ -244,9 +244,9 @@ def _folder() -> Path | None:
         return found
     found = _temporary()
     warnings.warn(
-        "there is no place for compiled code: neither the package's folder nor ~/.cache, or else "
-        "NUMBA_CACHE_DIR, can be written to; "
-        + (f"it is kept in {found}" if found else "it is not kept, and made anew each time"),
+        "no folder for compiled code is writable: neither the package's folder nor ~/.cache, nor "
+        "NUMBA_CACHE_DIR if set; "
+        + (f"code is cached in {found}" if found else "code is compiled in every process"),
         RuntimeWarning,
         stacklevel=2,
     )

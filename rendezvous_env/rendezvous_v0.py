@@ -10,7 +10,7 @@ from pettingzoo.utils.env import AECEnv
 from .envs.agents import RendezvousAECEnv
 from .envs.overrides import check_overrides
 from .envs.parallel_env import RendezvousParallelEnv
-from .envs.vector_env import check_one_team
+from .envs.vector_env import check_single_env
 from .scenario.scenarios import ScenarioLike, resolve, with_versions
 
 __all__ = ["RendezvousParallelEnv", "env", "parallel_env", "raw_env"]
@@ -38,7 +38,7 @@ def parallel_env(
         TypeError: for an unknown argument or field; the message gives the closest known one.
         ValueError: for an unknown scenario or render mode, or an invalid value.
     """
-    check_one_team(overrides, "rendezvous_env.make_vec")
+    check_single_env(overrides, "rendezvous_env.make_vec")
     check_overrides(parallel_env, overrides)
     return RendezvousParallelEnv(resolve(scenario, **overrides), render_mode, max_cycles, flatten)
 

@@ -29,7 +29,7 @@ class _SameModule(Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        module.__spec__ = self._spec  # the import has set that of the alias
+        module.__spec__ = self._spec  # the import has set the alias's spec
 
 
 class _SafeNames(MetaPathFinder):

@@ -13,11 +13,11 @@ from .engine.batch_runner import (
     ObservationCallback,
     RolloutResult,
 )
-from .engine.episodes import Episodes
+from .engine.episodes import EpisodeReset
 from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
 from .engine.preparation import speed_limits_of
-from .engine.state import State
+from .engine.state import BatchState
 from .engine.state_checks import (
     check_actions,
     check_entries,
@@ -75,9 +75,9 @@ class Simulator(StateView):
         """Scenario of the engine, with a row for every neighbour and obstacle."""
         self._fit = None if sensed is scenario else ObservationFit(scenario)
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
-        self._state = State(MemoryLayout(sensed, self.num_envs))
+        self._state = BatchState(MemoryLayout(sensed, self.num_envs))
         self._runner = runner = BatchRunner(self._state, self.num_threads, self.max_steps)
-        self._episodes = Episodes(self._state, runner.robot, runner.scratch)
+        self._episodes = EpisodeReset(self._state, runner.robot, runner.scratch)
         given = self._acted[:2] + scenario.observation_layout.shape, np.dtype(np.float32)
         self._given_out = (given, *((a.shape, a.dtype) for a in runner.new_output()[1:]))
         self._all_running = True
@@ -219,7 +219,7 @@ class Simulator(StateView):
         if not self._ready:
             never = np.flatnonzero(self._state.number < 0)
             which = (
-                f": environment {never[0]} has had none" if 0 < len(never) < self.num_envs else ""
+                f": environment {never[0]} was not reset" if 0 < len(never) < self.num_envs else ""
             )
             raise RuntimeError(f"call reset() before step(){which}")
 
@@ -376,9 +376,7 @@ class Simulator(StateView):
 
     @property
     def clearance(self) -> NDArray[np.float64]:
-        """Current distance of each robot to the nearest obstacle, (B, n), m; inf without
-        obstacles.
-        """
+        """Current distance of each robot to the nearest obstacle, (B, n), m; or inf."""
         return read_only(self._runner.observe().clearance)
 
     @property

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .engine.memory import RENDEZVOUS, TIME_OUT
-from .engine.state import State
+from .engine.state import BatchState
 from .outcome import ELAPSED, StepOutput
 from .physics.hull_perimeter import size
 from .scenario.scenario import Scenario
@@ -35,7 +35,7 @@ class StateView:
     """
 
     scenario: Scenario
-    _state: State
+    _state: BatchState
 
     status = _statistic(
         "status",
@@ -46,11 +46,11 @@ class StateView:
     contacts = _statistic(
         "contacts", "(B,), contacts in this episode, one for each robot and step.", np.int64
     )
-    path_length = _statistic("path_length", "(B,), way of all robots together in this episode, m.")
+    path_length = _statistic("path_length", "(B,), path length of all robots in this episode, m.")
     initial_lyapunov = _statistic("initial_lyapunov", "(B,), V at the start of the episode, m²/s.")
     min_clearance = _statistic(
         "min_clearance",
-        "(B,), least distance of a robot to an obstacle in this episode, m; inf without obstacles.",
+        "(B,), minimum distance to an obstacle in this episode, m; inf without obstacles.",
     )
 
     @property
@@ -93,15 +93,15 @@ class StateView:
 
     @property
     def obstacle_offsets(self) -> NDArray[np.float64]:
-        """Displacements of obstacles from their initial places, (B, M, d), m; M is 0 if none moves.
+        """Displacements of obstacles from their initial positions, (B, M, d), m.
 
-        ``obstacles`` are at their current places.
+        M is 0 if no obstacle moves. ``obstacles`` are at their current positions.
         """
         return read_only(self._state.traffic[..., : self.scenario.dim].copy())
 
     @property
     def merged_into(self) -> NDArray[np.int64]:
-        """Index of the robot that each one has become part of, its own while active, (B, n)."""
+        """Index of the robot that each one has merged into, its own while active, (B, n)."""
         return read_only(self._state.merged_into.copy())
 
     def copy_of_merged(self) -> NDArray[np.int64]:

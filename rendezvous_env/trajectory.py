@@ -113,7 +113,8 @@ class Trajectory:
 
     def _kept(self, name: str) -> NDArray[np.float32]:
         if name not in self.recorded:
-            raise AttributeError(f'{name} were not kept; ask for them: rollout(…, record="{name}")')
+            remedy = f'request them: rollout(…, record="{name}")'
+            raise AttributeError(f"{name} were not recorded; {remedy}")
         return self.recorded[name]
 
     @property
@@ -139,9 +140,7 @@ class Trajectory:
 
     @property
     def largest_rise_between_merges(self) -> NDArray[np.float64]:
-        """Largest increase of V in a step before any merge, (B,), m²/s; negative if V always
-        fell.
-        """
+        """Largest increase of V in a step before any merge, (B,), m²/s; may be negative."""
         rises = self.lyapunov_before_merge - self.lyapunov[:-1]
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 
@@ -158,10 +157,10 @@ class Trajectory:
         try:
             return cls(**own, **arrays)
         except TypeError as error:
-            raise ValueError(f"{path} is no trajectory of this version: {error}") from error
+            raise ValueError(f"{path} is not a trajectory of this version: {error}") from error
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"played_by": None}  # the policy may not be picklable
+        return vars(self) | {"played_by": None}  # may not be picklable
 
     __repr__ = trajectory_views.one_line
     summary = trajectory_views.summary
@@ -335,9 +334,9 @@ def _warn_of_size(simulator: Simulator, a_state: int, asked: tuple[str, ...]) ->
     actions = 4 * n * size if "actions" in asked else 0
     a_step = a_state + simulator.num_envs * (3 * 8 + n + actions)  # V twice, reward, contacts
     if (total := a_step * (simulator.max_steps + 1)) > _MUCH:
-        advice = "take fewer environments or steps" + (", or record less" if asked else "")
+        advice = "use fewer environments or steps" + (", or record less" if asked else "")
         warnings.warn(
-            f"this rollout may keep {total / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
+            f"this rollout may record {total / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
             f"{simulator.max_steps} steps; {advice}",
             stacklevel=4,  # of the caller of ``rollout``, which is decorated
         )

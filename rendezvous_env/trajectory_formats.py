@@ -125,7 +125,7 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
     recorded, scenario = trajectory.recorded, trajectory.scenario
     if missing := [part for part in ("observations", "actions") if part not in recorded]:
         raise ValueError(
-            f"to_minari() needs {' and '.join(missing)}, which were not kept; ask for them: "
+            f"to_minari() needs {' and '.join(missing)}, which were not recorded; request them: "
             'rollout(…, record="all")'
         )
     try:  # before Minari creates the folder
@@ -135,14 +135,14 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
             f'name is {name!r}; it must be like "rendezvous/ring-12-v0": {error}'
         ) from error
     if name in minari.list_local_datasets():
-        raise ValueError(f"name is {name!r}; it must be new: there is such a data set already")
+        raise ValueError(f"name is {name!r}; it must be new: this data set already exists")
     spec = EnvSpec(
         id="rendezvous/Rendezvous-v0",
         entry_point="rendezvous_env.envs.gymnasium_env:env_from_plain",
         kwargs={"scenario": scenario.to_plain()},
     )
     about = {
-        "description": f"Teams of scenario {scenario.name!r}: bearings seen, actions taken",
+        "description": f"Episodes of scenario {scenario.name!r}: bearing observations and actions",
         "env": spec,
         "eval_env": spec,
         **about,

@@ -6,7 +6,7 @@ The graphs are directed and switch.
 from __future__ import annotations
 
 import numpy as np
-from continuous_time import Array, Mask, Sights, Teams, outward
+from continuous_time import Array, Batch, Bearings, Mask, outward
 
 from train.verify.claims import BATCH
 from train.verify.monitors import unit
@@ -29,7 +29,7 @@ class Attention:
         random: random number generator.
     """
 
-    def __init__(self, teams: Teams, random: np.random.Generator) -> None:
+    def __init__(self, teams: Batch, random: np.random.Generator) -> None:
         count, n = teams.active.shape
         self._random, self._shape = random, (count, n, n)
         kinds = random.integers(5, size=(count, n, 1))
@@ -55,7 +55,7 @@ class Attention:
                 liking[first, second] = liking[second, first] = 2.0
             self._liking[team] = liking
 
-    def __call__(self, teams: Teams, sights: Sights) -> Array:
+    def __call__(self, teams: Batch, sights: Bearings) -> Array:
         """Weights (B, n, n), at least 0; each row with a visible neighbour sums to 1."""
         self._redraw(self._random.random(self._shape[0]) < self._redrawn)
         far = np.where(sights.present, sights.distances, 0.0)
@@ -84,7 +84,7 @@ def draw_teams(
     *,
     linked: bool = False,
     radii: tuple[float, float] = _RADII,
-) -> Teams:
+) -> Batch:
     """Sample teams in a square or a cube, on a regular polygon or on a line.
 
     The number of robots alternates between batches.
@@ -103,12 +103,12 @@ def draw_teams(
     on_a_line = kind > 0.9
     along = unit(random.normal(size=(BATCH, 1, dim)))
     places[on_a_line] = (places[..., :1] * along)[on_a_line]
-    return Teams(places, random.uniform(*radii), draw_weights(random, n) if linked else None)
+    return Batch(places, random.uniform(*radii), draw_weights(random, n) if linked else None)
 
 
-def draw_polygons(random: np.random.Generator, batch: int) -> Teams:
+def draw_polygons(random: np.random.Generator, batch: int) -> Batch:
     """Sample regular polygons of 3 to 8 robots."""
-    return Teams(_polygons(random, BATCH, 3 + batch % 6, 2), 0.1)
+    return Batch(_polygons(random, BATCH, 3 + batch % 6, 2), 0.1)
 
 
 def _polygons(random: np.random.Generator, count: int, n: int, dim: int) -> Array:

@@ -24,7 +24,7 @@ ROUNDING = 1e-9
 """Tolerance, as a fraction of a length; actual rounding is far smaller."""
 
 
-class Sights(NamedTuple):
+class Bearings(NamedTuple):
     """Bearings and distances between robots; index order [team, observer, neighbour]."""
 
     bearings: Array
@@ -35,7 +35,7 @@ class Sights(NamedTuple):
     """Whether both robots are active and distinct, (B, n, n)."""
 
 
-class Teams:
+class Batch:
     """B teams of n single integrators with separate clocks.
 
     Args:
@@ -64,14 +64,14 @@ class Teams:
         """Number of active robots of each team, (B,)."""
         return np.asarray(self.active.sum(axis=-1))
 
-    def look(self) -> Sights:
+    def look(self) -> Bearings:
         """All bearings and distances."""
         offsets = self.positions[:, None] - self.positions[:, :, None]
         present = self.active[:, None] & self.active[:, :, None]
         present &= ~np.eye(self.active.shape[1], dtype=np.bool_)
         distances = np.sqrt(np.sum(offsets**2, axis=-1))
         distances[~present] = np.inf
-        return Sights(offsets / distances[..., None], distances, present)
+        return Bearings(offsets / distances[..., None], distances, present)
 
     def size(self) -> Array:
         """Hull perimeter L, (B,), m."""
@@ -133,18 +133,18 @@ class Teams:
             self._merge(team, int(first[nearest]), int(second[nearest]))
 
 
-Law = Callable[[Teams], Array]
-"""Teams → velocities (B, n, d), m/s."""
-Look = Callable[[Teams], Array]
-"""Teams → relative margin by which each fulfils a claim after an advance, (B,); negative if
+Law = Callable[[Batch], Array]
+"""Batch → velocities (B, n, d), m/s."""
+Look = Callable[[Batch], Array]
+"""Batch → relative margin by which each fulfils a claim after an advance, (B,); negative if
 violated."""
 
 
 @dataclass
-class Trial:
-    """Teams, their law, and the claims to check."""
+class ContinuousTrial:
+    """Environments, their law, and the claims to check."""
 
-    teams: Teams
+    teams: Batch
     law: Law
     step: Array | float
     """Maximum duration for which velocities are held, (B,) or common to all, s."""
@@ -154,7 +154,7 @@ class Trial:
     """Check of a further claim."""
 
 
-def integrate(trial: Trial) -> tuple[Array, Array]:
+def integrate(trial: ContinuousTrial) -> tuple[Array, Array]:
     """Run a trial until rendezvous, time-out or violation of its further claim.
 
     Returns:
@@ -175,7 +175,7 @@ def integrate(trial: Trial) -> tuple[Array, Array]:
             kept[running] = np.minimum(kept, trial.look(teams))[running]
 
 
-def outward(teams: Teams, sights: Sights) -> Array:
+def outward(teams: Batch, sights: Bearings) -> Array:
     """Unit vectors (B, n, d) along ∂L/∂p_i, exact in the plane and nearly so in 3-D.
 
     For robots inside the hull they point away from the centroid.
@@ -196,7 +196,7 @@ def outward(teams: Teams, sights: Sights) -> Array:
     return np.where(vertex[..., None], found, inside)
 
 
-def _widest_gap(sights: Sights) -> tuple[Array, Array]:
+def _widest_gap(sights: Bearings) -> tuple[Array, Array]:
     """Middle and width of the widest angle without a neighbour, (B, n) each, rad.
 
     It is wider than π only at a corner of the hull, where its middle points along ∂L/∂p_i.

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 from adversarial_graphs import draw_polygons, draw_teams
-from continuous_time import ROUNDING, Array, Look, Teams, Trial, integrate
+from continuous_time import ROUNDING, Array, Batch, ContinuousTrial, Look, integrate
 from continuous_time_laws import in_cones, in_polygons, misled, now_and_then, with_gains
 from time_bounds import cone_time, gains_time, led_time, windows_time
 
@@ -32,7 +32,7 @@ class ContinuousTimeClaim:
 
     name: str
     statement: str
-    draw: Callable[[np.random.Generator, int, float], Trial]
+    draw: Callable[[np.random.Generator, int, float], ContinuousTrial]
     """(random numbers, batch index, minimum alignment ε) → teams, law, limits."""
     meets: bool = True
     """Whether it claims rendezvous in time."""
@@ -56,12 +56,12 @@ def check(
     return Tally(len(held), margin=1.0 - ratio, violations=violations, ratio=worst)
 
 
-def hull_is_nested(teams: Teams) -> Look:
+def hull_is_nested(teams: Batch) -> Look:
     """Relative amount of L(0) by which the hull recedes in every direction."""
     along, start = directions(teams.dim), teams.size()
     latest = extents(teams.positions, teams.active, along)
 
-    def look(teams: Teams) -> Array:
+    def look(teams: Batch) -> Array:
         nonlocal latest
         before, latest = latest, extents(teams.positions, teams.active, along)
         return np.asarray((before - latest).min(axis=-1) / start)
@@ -69,14 +69,14 @@ def hull_is_nested(teams: Teams) -> Look:
     return look
 
 
-def shrinks_by(teams: Teams, rate: float) -> Look:
+def shrinks_by(teams: Batch, rate: float) -> Look:
     """Relative amount of L(0) by which the perimeter is below L(0) − rate·t.
 
     With a negative rate it is the growth beyond −rate·t. It is evaluated at intervals.
     """
     start, calls = teams.size(), 0
 
-    def look(teams: Teams) -> Array:
+    def look(teams: Batch) -> Array:
         nonlocal calls
         calls += 1
         if calls % _NOW_AND_THEN:
@@ -87,7 +87,7 @@ def shrinks_by(teams: Teams, rate: float) -> Look:
     return look
 
 
-def stays_below(teams: Teams, bound: Array) -> Look:
+def stays_below(teams: Batch, bound: Array) -> Look:
     """Relative amount by which V is below a bound, (B,), m²/s."""
     return lambda teams: np.asarray(1.0 - teams.lyapunov() / bound)
 
@@ -105,7 +105,9 @@ def _gains(random: Random) -> tuple[float, float]:
     return least, _STRONGEST * least
 
 
-def draw_gains(random: Random, batch: int, least_margin: float, led: bool = False) -> Trial:
+def draw_gains(
+    random: Random, batch: int, least_margin: float, led: bool = False
+) -> ContinuousTrial:
     """Sample arbitrary gains, with or without one stationary robot."""
     teams, gains = draw_teams(random, batch), _gains(random)
     limit = (led_time if led else gains_time)(
@@ -113,10 +115,10 @@ def draw_gains(random: Random, batch: int, least_margin: float, led: bool = Fals
     )
     step = _FINE * teams.merge_radius / (2.0 * gains[1])
     law = with_gains(teams, random, gains, led=led)
-    return Trial(teams, law, step, limit, hull_is_nested(teams))
+    return ContinuousTrial(teams, law, step, limit, hull_is_nested(teams))
 
 
-def draw_windows(random: Random, batch: int, least_margin: float) -> Trial:
+def draw_windows(random: Random, batch: int, least_margin: float) -> ContinuousTrial:
     """Sample robots with a visible neighbour at times."""
     teams, gains = draw_teams(random, batch, dims=(2,)), _gains(random)
     step = _FINE * teams.merge_radius / (2.0 * gains[1])
@@ -133,10 +135,10 @@ def draw_windows(random: Random, batch: int, least_margin: float) -> Trial:
     )
     # an interval that begins late because of held inputs also ends late
     law = now_and_then(teams, random, gains, window, duration + step)
-    return Trial(teams, law, step, limit, hull_is_nested(teams))
+    return ContinuousTrial(teams, law, step, limit, hull_is_nested(teams))
 
 
-def draw_misled(random: Random, batch: int, least_margin: float) -> Trial:
+def draw_misled(random: Random, batch: int, least_margin: float) -> ContinuousTrial:
     """Sample bearing errors of 0.9 of the tolerance of theorem N, including that of held inputs."""
     teams, gain = draw_teams(random, batch, radii=(0.25, 0.4)), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
@@ -144,7 +146,7 @@ def draw_misled(random: Random, batch: int, least_margin: float) -> Trial:
     step = random.uniform(0.03, 0.1) * teams.merge_radius * np.sin(total) / gain
     error = total - float(held_error(gain, step, teams.merge_radius))
     rate = float(shrinking(n, teams.dim, gain, total))
-    return Trial(
+    return ContinuousTrial(
         teams,
         misled(teams, random, gain, error),
         step,
@@ -153,7 +155,9 @@ def draw_misled(random: Random, batch: int, least_margin: float) -> Trial:
     )
 
 
-def draw_growing(random: Random, batch: int, least_margin: float, share: float = 1.02) -> Trial:
+def draw_growing(
+    random: Random, batch: int, least_margin: float, share: float = 1.02
+) -> ContinuousTrial:
     """Regular polygons with bearing errors above the tolerance of theorem N.
 
     Adjacent robots are at π/n from the tangent, so L' = 2 n c sin(π/n) sin(η − π/n); the claim is
@@ -165,14 +169,18 @@ def draw_growing(random: Random, batch: int, least_margin: float, share: float =
     grows = 2.0 * n * gain * np.sin(np.pi / n) * np.sin(abs(share - 1.0) * np.pi / n)
     step = 1e-3 / gain
     law = in_polygons(random, gain, error)
-    return Trial(teams, law, step, np.full(BATCH, 200 * step), shrinks_by(teams, -0.9 * grows))
+    return ContinuousTrial(
+        teams, law, step, np.full(BATCH, 200 * step), shrinks_by(teams, -0.9 * grows)
+    )
 
 
-def draw_cones(random: Random, batch: int, least_margin: float, most: float = 1.5) -> Trial:
+def draw_cones(
+    random: Random, batch: int, least_margin: float, most: float = 1.5
+) -> ContinuousTrial:
     """Sample law (4) with headings in the cone of the bearings."""
     teams = draw_teams(random, batch)
     margin = random.uniform(least_margin, max(least_margin, 0.9), BATCH)
-    return Trial(
+    return ContinuousTrial(
         teams,
         in_cones(teams, random, margin, most),
         teams.merge_radius / (12.0 * most),  # no robot passes its targets

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from adversarial_graphs import Attention
-from continuous_time import Array, Law, Sights, Teams, outward
+from continuous_time import Array, Batch, Bearings, Law, outward
 
 from train.verify.adversaries import turned_rows
 from train.verify.monitors import unit
@@ -28,7 +28,7 @@ def followed(bearings: Array, gains: Array) -> Array:
 
 
 def with_gains(
-    teams: Teams, random: Random, gains: tuple[float, float], *, led: bool = False
+    teams: Batch, random: Random, gains: tuple[float, float], *, led: bool = False
 ) -> Law:
     """Law ṗ_i = Σ_j c_ij g_ij with Σ_j c_ij between two limits at any time (theorem G).
 
@@ -37,7 +37,7 @@ def with_gains(
     attention = Attention(teams, random)
     steady = random.random((len(teams.time), 1)) < 0.5
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         sights = teams.look()
         totals = np.where(steady, gains[0], random.uniform(*gains, teams.active.shape))
         if led:
@@ -48,25 +48,25 @@ def with_gains(
 
 
 def now_and_then(
-    teams: Teams, random: Random, gains: tuple[float, float], window: float, duration: float
+    teams: Batch, random: Random, gains: tuple[float, float], window: float, duration: float
 ) -> Law:
     """As ``with_gains``, with visible neighbours only once per time window and robot."""
     everywhen = with_gains(teams, random, gains)
     turn = random.uniform(0.0, window - duration, teams.active.shape)
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         since = teams.time[:, None] % window - turn
         return everywhen(teams) * ((since >= 0) & (since <= duration))[..., None]
 
     return law
 
 
-def misled(teams: Teams, random: Random, gain: float, error: float) -> Law:
+def misled(teams: Batch, random: Random, gain: float, error: float) -> Law:
     """Law with Σ_j c_ij = c and bearing errors η, outward or in any direction (theorem N)."""
     attention = Attention(teams, random)
     outwards = random.random((len(teams.time), 1, 1, 1)) < 0.7
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         sights = teams.look()
         anyhow = random.normal(size=sights.bearings.shape)
         seen = turned(sights.bearings, np.where(outwards, away(teams, sights), anyhow), error)
@@ -75,7 +75,7 @@ def misled(teams: Teams, random: Random, gain: float, error: float) -> Law:
     return law
 
 
-def away(teams: Teams, sights: Sights) -> Array:
+def away(teams: Batch, sights: Bearings) -> Array:
     """Outward directions for each bearing, (B, n, n, d)."""
     return np.broadcast_to(outward(teams, sights)[:, :, None], sights.bearings.shape)
 
@@ -86,7 +86,7 @@ def in_polygons(random: Random, gain: float, error: float) -> Law:
     All robots have the same neighbours and outward bearing errors.
     """
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         sights = teams.look()
         n, forward = teams.active.shape[1], random.random((len(teams.time), 1))
         here = np.arange(n)
@@ -121,11 +121,11 @@ def into_cone(bearing: Array, net_bearing: Array, margin: Array) -> Array:
     return np.where(cosine < STRAIGHT_BACK, ahead, inside)
 
 
-def in_cones(teams: Teams, random: Random, margin: Array, most: float) -> Law:
+def in_cones(teams: Batch, random: Random, margin: Array, most: float) -> Law:
     """Law (4) with headings of cone{g_ij}, and d_i between 1 m/s and a limit (C4)."""
     attention, taste = Attention(teams, random), Attention(teams, random)
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         sights = teams.look()
         shares = attention(teams, sights)
         totals = random.uniform(1.0, most, (*teams.active.shape, 1))

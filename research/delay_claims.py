@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from adversarial_graphs import draw_teams
-from continuous_time import Array, Law, Sights, Teams, Trial
+from continuous_time import Array, Batch, Bearings, ContinuousTrial, Law
 from continuous_time_claims import ContinuousTimeClaim, stays_below
 from continuous_time_laws import Random, followed
 
@@ -32,7 +32,7 @@ class Stale:
         oldest: maximum delay of a bearing, (B,), s.
     """
 
-    def __init__(self, teams: Teams, random: Random, oldest: Array) -> None:
+    def __init__(self, teams: Batch, random: Random, oldest: Array) -> None:
         self._random, self._oldest = random, oldest
         self._seen = np.repeat(teams.look().bearings[None], _KEPT, axis=0)
         self._when = np.zeros((_KEPT, len(oldest)))
@@ -40,7 +40,7 @@ class Stale:
         self._own = random.random(teams.weights.shape)
         self._calls = 0
 
-    def __call__(self, teams: Teams, sights: Sights) -> Array:
+    def __call__(self, teams: Batch, sights: Bearings) -> Array:
         """Bearings, (B, n, n, d)."""
         if teams.merged.any():
             fresh = teams.merged[:, :, None] | teams.merged[:, None]
@@ -62,7 +62,7 @@ def largest_age(max_degree: Array, merge_radius: float, *, law_4: bool = False) 
     return merge_radius / (2.0 * max_degree) / (math.sqrt(3.0) if law_4 else 1.0)
 
 
-def _stale(teams: Teams, random: Random, *, law_4: bool) -> tuple[Stale, Array]:
+def _stale(teams: Batch, random: Random, *, law_4: bool) -> tuple[Stale, Array]:
     """Delayed bearings, and the duration for which inputs are held."""
     degrees = np.array([max_degree(matrix) for matrix in teams.weights])
     age = largest_age(degrees, teams.merge_radius, law_4=law_4)
@@ -70,7 +70,7 @@ def _stale(teams: Teams, random: Random, *, law_4: bool) -> tuple[Stale, Array]:
     return Stale(teams, random, age - step), step
 
 
-def _bounds(teams: Teams) -> tuple[Array, Array]:
+def _bounds(teams: Batch) -> tuple[Array, Array]:
     """V0⁺ and a* of each team."""
     r, n = teams.merge_radius, teams.active.shape[1]
     rises = (n - 1) * r * teams.weights.sum(axis=(-2, -1)) / 2.0
@@ -78,38 +78,38 @@ def _bounds(teams: Teams) -> tuple[Array, Array]:
     return teams.lyapunov() + rises, weakest
 
 
-def draw_stale(random: Random, batch: int, least_margin: float) -> Trial:
+def draw_stale(random: Random, batch: int, least_margin: float) -> ContinuousTrial:
     """Sample law (1) with a separate, time-varying speed factor for each robot."""
     teams = draw_teams(random, batch, linked=True)
     seen, step = _stale(teams, random, law_4=False)
     most, weakest = _bounds(teams)
     slowest = float(random.choice([1.0, random.uniform(0.3, 1.0)]))
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         f = followed(seen(teams, teams.look()), teams.weights)
         return f * random.uniform(slowest, 1.0, (*teams.active.shape, 1))
 
     n = teams.active.shape[1]
     limit = n * most / (4.0 * weakest**2 * slowest)
-    return Trial(teams, law, step, limit, stays_below(teams, most))
+    return ContinuousTrial(teams, law, step, limit, stays_below(teams, most))
 
 
-def draw_stale_headings(random: Random, batch: int, least_margin: float) -> Trial:
+def draw_stale_headings(random: Random, batch: int, least_margin: float) -> ContinuousTrial:
     """Sample law (4) with hᵀf̂ = ε‖f̂‖ always, on any side."""
     teams = draw_teams(random, batch, linked=True)
     seen, step = _stale(teams, random, law_4=True)
     most, weakest = _bounds(teams)
     margin = random.uniform(*np.maximum(_MARGINS, least_margin))
     limit = teams.active.shape[1] * most / (weakest * margin) ** 2
-    return Trial(
+    return ContinuousTrial(
         teams, _sideways(teams, random, seen, margin), step, limit, stays_below(teams, most)
     )
 
 
-def _sideways(teams: Teams, random: Random, seen: Stale, margin: float) -> Law:
+def _sideways(teams: Batch, random: Random, seen: Stale, margin: float) -> Law:
     aside, steady = random.normal(size=teams.positions.shape), random.random() < 0.7
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         f = followed(seen(teams, teams.look()), teams.weights)
         ahead = unit(f)
         axis = aside if steady else random.normal(size=aside.shape)

@@ -152,12 +152,12 @@ def _watch(env: Any, spent: Counter[str], clock: Clock) -> None:
     watch("physics", stages, "calls")
     for name in ("apply_calls", "update_calls"):
         watch("safety filter", teams.filter, name)
-    if (guided := getattr(teams, "guided", None)) is None:
+    if (controller := getattr(teams, "controller", None)) is None:
         watch("frames", teams.filter, "observe_calls")
         return
-    watch("base controller", guided, "_aim_calls")
-    show = guided.show
-    guided.show = lambda *given: timed("features", partial(show, *given))()
+    watch("base controller", controller, "_aim_calls")
+    show = controller.show
+    controller.show = lambda *given: timed("features", partial(show, *given))()
 
 
 def main() -> None:

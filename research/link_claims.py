@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from continuous_time import Array, Law, Look, Sights, Teams, Trial
+from continuous_time import Array, Batch, Bearings, ContinuousTrial, Law, Look
 from continuous_time_claims import ContinuousTimeClaim
 from continuous_time_laws import Random, away, turned
 from desired_velocities import desired_velocities
@@ -26,7 +26,7 @@ _FLOAT32 = 1e-6
 Actual rounding is smaller."""
 
 
-def draw_sighted(random: Random, batch: int) -> Teams:
+def draw_sighted(random: Random, batch: int) -> Batch:
     """Sample teams in which each robot is at most R − (n−1) r/2 away from another one."""
     n, dim = _SIZES[batch % len(_SIZES)], int(random.choice([2, 3]))
     radius = random.uniform(0.05, 0.15)
@@ -36,17 +36,17 @@ def draw_sighted(random: Random, batch: int) -> Teams:
         other = places[np.arange(BATCH), random.integers(k, size=BATCH)]
         stride = reach * random.uniform(0.6, 1.0, (BATCH, 1))
         places[:, k] = other + stride * unit(random.normal(size=(BATCH, dim)))
-    return Teams(places, radius)
+    return Batch(places, radius)
 
 
-def rows_in_sight(sights: Sights, bearings: Array, weight: float) -> Array:
+def rows_in_sight(sights: Bearings, bearings: Array, weight: float) -> Array:
     """Neighbour rows a g_ij of all others within R, (B, n, n − 1, d), m/s."""
     count, n = sights.distances.shape[:2]
     rows = weight * bearings * (sights.distances <= _SIGHT)[..., None]
     return np.asarray(rows[:, ~np.eye(n, dtype=np.bool_)].reshape(count, n, n - 1, -1))
 
 
-def links_last(teams: Teams, tolerance: float = 0.0) -> Look:
+def links_last(teams: Batch, tolerance: float = 0.0) -> Look:
     """Difference of R and the longest protected link, and the decrease of each link.
 
     Both are fractions of R; links are compared between merges.
@@ -55,7 +55,7 @@ def links_last(teams: Teams, tolerance: float = 0.0) -> Look:
     latest = teams.look().distances
     kept = latest <= _SIGHT - (n - 1) * radius / 2.0
 
-    def look(teams: Teams) -> Array:
+    def look(teams: Batch) -> Array:
         nonlocal latest
         before, latest = latest, teams.look().distances
         places = np.take_along_axis(teams.positions, teams.into[..., None], axis=1)
@@ -70,13 +70,13 @@ def links_last(teams: Teams, tolerance: float = 0.0) -> Look:
     return look
 
 
-def draw_link_keeping(random: Random, batch: int, least_margin: float) -> Trial:
+def draw_link_keeping(random: Random, batch: int, least_margin: float) -> ContinuousTrial:
     """Sample the law of connectivity maintenance, R b."""
     teams, weight = draw_sighted(random, batch), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
     step = _FINE * teams.merge_radius / (2.0 * (n - 1) * weight)
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         sights = teams.look()
         rows = rows_in_sight(sights, sights.bearings, weight)
         degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)
@@ -85,15 +85,15 @@ def draw_link_keeping(random: Random, batch: int, least_margin: float) -> Trial:
         )
 
     limit = gains_time(n, teams.dim, teams.size(), weight)
-    return Trial(teams, law, step, limit, links_last(teams))
+    return ContinuousTrial(teams, law, step, limit, links_last(teams))
 
 
-def draw_kept_links(random: Random, batch: int, least_margin: float) -> Trial:
+def draw_kept_links(random: Random, batch: int, least_margin: float) -> ContinuousTrial:
     """Sample arbitrary desired velocities, R c."""
     return _any_velocities(random, batch, float(random.uniform(0.3, 1.0)), 0.0)
 
 
-def draw_kept_misled(random: Random, batch: int, least_margin: float) -> Trial:
+def draw_kept_misled(random: Random, batch: int, least_margin: float) -> ContinuousTrial:
     """Sample arbitrary desired velocities and bearing errors, R d."""
     return _any_velocities(random, batch, float(random.uniform(0.5, 1.0)), random.uniform(0.2, 0.8))
 
@@ -119,7 +119,9 @@ def sighted_lyapunov_bound(
     return np.asarray(np.asarray(initial_lyapunov) + 2.0 * weight * sight * appear + merges)
 
 
-def _any_velocities(random: Random, batch: int, share: float, error_share: float) -> Trial:
+def _any_velocities(
+    random: Random, batch: int, share: float, error_share: float
+) -> ContinuousTrial:
     """Velocities projected on those that keep links; the error is a fraction of π/(2n)."""
     teams, weight = draw_sighted(random, batch), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
@@ -139,7 +141,7 @@ def _any_velocities(random: Random, batch: int, share: float, error_share: float
     )
     limit = links_time(n, most, least_degree=weight, step=scenario.tau, share=share, error=error)
     law = _desiring(random, scenario, weight, share, error)
-    return Trial(teams, law, scenario.tau, limit, links_last(teams, _FLOAT32))
+    return ContinuousTrial(teams, law, scenario.tau, limit, links_last(teams, _FLOAT32))
 
 
 def _all_pairs(n: int) -> Array:
@@ -153,7 +155,7 @@ def _desiring(random: Random, scenario: Scenario, weight: float, share: float, e
     desired, calls = desired_velocities(scenario, BATCH, random), 0
     outwards = random.random((BATCH, 1, 1, 1)) < 0.5
 
-    def law(teams: Teams) -> Array:
+    def law(teams: Batch) -> Array:
         nonlocal calls
         sights = teams.look()
         bearings = sights.bearings

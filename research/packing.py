@@ -26,7 +26,7 @@ COMPARED = 300
 """Number of seeds for which diameters are measured."""
 
 
-class Played(NamedTuple):
+class PackingResult(NamedTuple):
     """Results of many teams."""
 
     met: int
@@ -46,7 +46,7 @@ def arena(robots: int) -> rv.Scenario:
     return scenario.replace(name=f"robotarium-{robots}", n_robots=robots, graph=graph)
 
 
-def play(scenario: rv.Scenario, policy: str, seeds: int) -> Played:
+def play(scenario: rv.Scenario, policy: str, seeds: int) -> PackingResult:
     """Run the seeds from 0 on."""
     simulator, chosen = rv.Simulator(scenario, num_envs=seeds), baselines.make(policy, scenario)
     observations, closest = simulator.reset(list(range(seeds))), np.inf
@@ -58,7 +58,7 @@ def play(scenario: rv.Scenario, policy: str, seeds: int) -> Played:
         apart = distances(simulator.positions)
         closest = min(closest, float(apart.min()))
     rest, nearest = go_on(simulator.positions[:COMPARED], scenario, policy)
-    return Played(
+    return PackingResult(
         met=int((simulator.status == RENDEZVOUS).sum()),
         closest=min(closest, nearest),
         diameter=float(apart[:COMPARED].max(axis=1).mean()),

@@ -16,7 +16,7 @@ from train.learn import ppo
 
 COMMON: dict[str, Any] = {
     "scenario": "clutter-24", "guarantee": "tank", "budget": 20.0, "memory": "features",
-    "eval_starts": 500, "tensorboard": False,
+    "eval_episodes": 500, "tensorboard": False,
 }  # fmt: skip
 _SHIPPED: dict[str, Any] = {
     "num_envs": 1024, "n_steps": 32, "batch_size": 8192, "hidden": (128, 128), "prior": 1.5,

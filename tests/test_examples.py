@@ -22,9 +22,9 @@ def test_step_loop_and_custom_law_run():
 
 @pytest.mark.slow
 def test_train_and_compare_run(tmp_path):
-    small = ("--steps", "1000", "--teams", "8", "--episodes", "3", "--out", str(tmp_path))
+    small = ("--steps", "1000", "--num-envs", "8", "--episodes", "3", "--out", str(tmp_path))
     last = run("03_train_and_compare.py", *small).splitlines()[-3:]
-    policies = ["bearing-only", "tangent-joined-tuned", "learned"]
+    policies = ["bearing-only", "tangent-merged-tuned", "learned"]
     assert [line.split(":")[0] for line in last] == policies
     assert (tmp_path / "run" / "checkpoints" / "latest.json").is_file()
 
@@ -33,10 +33,10 @@ def test_train_and_compare_run(tmp_path):
 def test_stable_baselines3_example_runs(tmp_path):
     program = (EXAMPLES / "11_sb3_ppo.py").read_text(encoding="utf-8")
     assert len([line for line in program.splitlines() if line.strip()]) <= 30
-    small = ("--steps", "512", "--teams", "4", "--episodes", "2", "--out", str(tmp_path / "out"))
+    small = ("--steps", "512", "--num-envs", "4", "--episodes", "2", "--out", str(tmp_path / "out"))
     run("11_sb3_ppo.py", *small)
     rows = results.read_csv(tmp_path / "out" / "results.csv")
-    assert [row["policy"] for row in rows] == ["tangent-joined-tuned", "ppo"]
+    assert [row["policy"] for row in rows] == ["tangent-merged-tuned", "ppo"]
     assert "ppo" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
@@ -48,7 +48,7 @@ JUDGED = re.compile(
 
 @pytest.mark.slow
 def test_cleanrl_example_runs():
-    small = ("--scenario", "duo", "--updates", "3", "--teams", "8", "--held-out", "20")
+    small = ("--scenario", "duo", "--updates", "3", "--num-envs", "8", "--held-out", "20")
     first, update, last = run("04_cleanrl_ppo.py", *small).splitlines()
     loss = re.fullmatch(r"update 3: loss (\S+), reward \S+, .*", update)[1]
     assert abs(float(loss)) < 100
@@ -58,7 +58,7 @@ def test_cleanrl_example_runs():
 
 @pytest.mark.slow
 def test_cleanrl_example_learns():
-    size = ("--updates", "60", "--teams", "64", "--steps", "64", "--held-out", "200")
+    size = ("--updates", "60", "--num-envs", "64", "--steps", "64", "--held-out", "200")
     text = run("04_cleanrl_ppo.py", *size)
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(text)
     assert float(met_after) > float(met) + 30
@@ -90,7 +90,11 @@ def test_jax_ppo_example_runs():
     program = (EXAMPLES / "15_jax_ppo.py").read_text(encoding="utf-8")
     assert len([line for line in program.splitlines() if line.strip()]) <= 200
     sizes = ("--updates", "2", "--report", "1", "--envs", "8", "--steps", "4", "--held-out", "8")
-    told = run("15_jax_ppo.py", "--scenario", "duo", *sizes).splitlines()
+    said = run("15_jax_ppo.py", "--scenario", "duo", *sizes)
+    from device_bench import RATE
+
+    assert len(RATE.findall(said)) == 2
+    told = said.splitlines()
     shares = re.compile(r"(\d+\.\d)% met, (\d+\.\d)% without contact, \d+\.\d s")
     names, results = zip(*(line.split(": ") for line in told), strict=True)
     assert names[:2] == ("bearing-only", "before")
@@ -103,7 +107,7 @@ def test_jax_ppo_example_runs():
 def test_jax_gradient_example_improves_the_slowest(tmp_path):
     pytest.importorskip("jax")
     figure = tmp_path / "gradient.png"
-    sizes = ("--iterations", "8", "--starts", "20", "--seconds", "4", "--figure", str(figure))
+    sizes = ("--iterations", "8", "--num-envs", "20", "--seconds", "4", "--figure", str(figure))
     told = run("16_jax_gradient.py", *sizes)
     costs = [float(cost) for cost in re.findall(r"cost (\S+) s", told)]
     before, after = map(float, re.search(r"(\S+) s before, (\S+) s after", told).groups())

@@ -49,7 +49,7 @@ def environment(folder, *requirements):
     """
     call(sys.executable, "-m", "venv", folder, cwd=folder.parent)
     scripts = folder / "bin"
-    options = ["-q", "-c", ROOT / "constraints.txt"]
+    options = ["-q", "--no-compile", "-c", ROOT / "constraints.txt"]
     python = scripts / "python"
     done = run(python, "-m", "pip", "install", *options, *requirements, cwd=folder.parent)
     if NO_REGISTRY.search(done.stderr) and not os.environ.get("CI"):
@@ -81,7 +81,7 @@ teams.reset(seed=0)
 teams.step(np.zeros(teams.action_space.shape, np.float32))
 SHORT = rv.scenarios.get("clutter-4").replace(time_limit=1.0)
 ahead = baselines.TrainedPolicy("clutter-4", lambda seen: np.zeros((len(seen), 2)))
-for policy in (ahead, baselines.make("learned", SHORT), baselines.make("tank-joined", SHORT)):
+for policy in (ahead, baselines.make("learned", SHORT), baselines.make("tank-merged", SHORT)):
     print(len(rv.rollout(SHORT, policy).times) > 10)
 print(baselines.__name__, rv.__file__)
 """

@@ -57,7 +57,7 @@ ROOMS = (
     {"engine"},
     {
         *("simulator", "state_view", "trajectory", "trajectory_formats", "trajectory_views"),
-        *("observation_fit", "first_starts"),
+        *("observation_fit", "first_initial_conditions"),
     },
     {"safety"},
     {"safety.theorems"},
@@ -300,7 +300,7 @@ def test_safe_names_work_beside_user_files(script, tmp_path):
     for name in ("train.py", "baselines.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
     compare = "compare --scenarios duo --episodes 2 --no-figures --jobs 2 --out out"
-    export = "export --policy tangent-joined --scenario clutter-4 --standalone robot.py"
+    export = "export --policy tangent-merged --scenario clutter-4 --standalone robot.py"
     code = "from rendezvous_env.train import cli\n" + "".join(
         f"assert cli.main({words.split()}) == 0\n"
         for words in (compare, "report out", export, "verify --trials 5 --jobs 1 --out verified")

@@ -159,8 +159,8 @@ def test_tutorial_runs_with_shown_output(tmp_path):
         return "".join("".join(one["text"]) for one in outputs if one["output_type"] == "stream")
 
     assert pictures(new) == pictures(kept) == 2
-    assert "tangent-joined collision-free 9" in said(new) and "report.html" in said(new)
-    for name in ("shy", "bearing-only", "tangent-joined"):
+    assert "tangent-merged collision-free 9" in said(new) and "report.html" in said(new)
+    for name in ("shy", "bearing-only", "tangent-merged"):
         # on another processor a start may differ
         share = re.compile(rf"^{name} +collision-free (\d+)% \[", re.MULTILINE)
         (before,), (now,) = (share.findall(said(cells)) for cells in (kept, new))

@@ -15,7 +15,7 @@ UPDATE = 512
 SMALL = {
     "scenario": "clutter-4", "num_envs": 8, "n_steps": 16, "batch_size": 128, "epochs": 2,
     "total_steps": 12 * UPDATE, "set_width": 8, "hidden": (16,), "eval_every": 2000,
-    "eval_starts": 4, "checkpoint_every": 1000, "tensorboard": False, "num_threads": 1,
+    "eval_episodes": 4, "checkpoint_every": 1000, "tensorboard": False, "num_threads": 1,
 }  # fmt: skip
 """Twelve updates of 512 steps."""
 WALL_TIME = ("wall_s", "steps_per_s", "environment_share")

@@ -2,12 +2,15 @@
 
 import importlib.util
 import math
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple, Self, get_args, get_origin, get_type_hints
 
+_POLICIES = frozenset(("policy", "policies", "against", "algorithms"))
+"""Settings that name policies."""
 _LONGEST_NAME = 255  # bytes of one part of a path, on all common file systems
 
 
@@ -60,7 +63,7 @@ class Bounds(NamedTuple):
 
 
 class GivenScenario(str):
-    """Name of a Scenario that was passed to a command in Python; it carries the Scenario."""
+    """Name of a Scenario that was passed to a command in Python, with the Scenario."""
 
     scenario: Any
 
@@ -99,6 +102,8 @@ class Flags:
                 object.__setattr__(self, name, Path(value))
         with user_error("", ValueError):
             check_types(vars(self), kinds)
+        for name in _POLICIES & vars(self).keys():
+            object.__setattr__(self, name, _of_current_policies(getattr(self, name)))
         for field in fields(self):
             hint, value = marked[field.name], getattr(self, field.name)
             name = field.name if "Positional" in str(field.type) else flag(field.name, hint)
@@ -107,6 +112,25 @@ class Flags:
                 for mark in getattr(hint, "__metadata__", ()):
                     if isinstance(mark, Bounds) and one is not None:
                         mark.check(name, one)
+
+
+def _of_current_policies(value: Any) -> Any:
+    """Replace deprecated names of policies, with a warning; other values are unchanged."""
+    if isinstance(value, tuple):
+        return tuple(map(_of_current_policies, value))
+    if isinstance(value, str) and (current := current_policy(value)) != value:
+        old, new = (word.rpartition("=")[2] for word in (value, current))
+        warnings.warn(f"policy {old!r} is called {new!r} now", DeprecationWarning, 4)
+        return current
+    return value
+
+
+def current_policy(word: str) -> str:
+    """Replace the deprecated name of a policy, also in LABEL=NAME; other words are unchanged."""
+    from rendezvous_env.baselines.policy import current_name  # not for --help
+
+    label, equals, name = word.rpartition("=")
+    return f"{label}{equals}{current_name(name)}"
 
 
 def _is_one(value: Any) -> bool:

@@ -12,7 +12,7 @@ import io
 import os
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module, metadata
 from itertools import chain, pairwise
@@ -26,18 +26,18 @@ COMMANDS = {
         "compare.compare",
         "compare policies from the same initial conditions: table, files, figures",
     ),
-    "train": ("learn.command", "PPO learns headings that keep the guarantee; stop it, resume it"),
-    "leaderboard": ("leaderboard.command", "algorithms × fields × seeds, and what is proven"),
-    "list": ("listing", "the scenarios and the policies, a line for each"),
-    "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
-    "export": ("export", "a policy for robots: one Python file, or its network as ONNX"),
-    "bench": ("bench.bench", "how fast the environments are on this machine"),
-    "render": ("figures.render", "one episode as a video (gif, mp4) or a figure (png, pdf)"),
-    "play": ("figures.play", "an episode in a window: drag robots, drive one by keys"),
+    "train": ("learn.command", "train a policy with PPO under a safety filter; resumable"),
+    "leaderboard": ("leaderboard.command", "compare learning algorithms over scenarios and seeds"),
+    "list": ("listing", "list scenarios and policies, one line each"),
+    "report": ("report.build", "HTML report of a comparison, with an interactive replay"),
+    "export": ("export", "export a policy: one Python file, or its network as ONNX"),
+    "bench": ("bench.bench", "measure the speed of the environments on this machine"),
+    "render": ("figures.render", "render one episode as a video (gif, mp4) or a figure (png, pdf)"),
+    "play": ("figures.play", "play an episode in a window: drag robots, drive one by keys"),
     "reproduce": ("figures.reproduce", "figures 3 and 4 of the paper; tanks, bounds and pixels"),
-    "warmup": ("bench.warmup", "compile beforehand what the first use would compile"),
+    "warmup": ("bench.warmup", "compile kernels in advance"),
     "sensor": ("sensors.command", "fit a sensor model to a robot log; replay logged bearings"),
-    "verify": ("verify.verify", "check the theorems on random teams; status 1 if one fails"),
+    "verify": ("verify.verify", "check the theorems on random environments; status 1 on failure"),
 }
 """Commands: module in ``train`` and one-line help."""
 _COMPLETION = "--completion"
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         after Ctrl-C; 143 after SIGTERM.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
-    # results must not depend on the number of cores, and small networks need no waiting threads
+    # results must not depend on the number of cores; small networks need no further threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _say(command, f"{where}{error.strerror or error}")
     except MemoryError as error:
-        return _say(command, f"not enough memory ({error or 'asked for too much'}); ask for less")
+        return _say(command, f"not enough memory ({error or 'request too large'}); request less")
     except KeyboardInterrupt as error:
         print(interrupts.line_of(command, error), file=sys.stderr)
         return interrupts.status_of(error)
@@ -96,8 +96,29 @@ def _run(command: str, flags: Sequence[str]) -> int:
     if {"-h", "--help"} & set(flags):
         Console(highlight=False).print(help_of(command, module), soft_wrap=True)
         return 0
-    config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
+    words = current_flags(flags, getattr(module, "FORMER_FLAGS", {}))
+    config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=words)
     return int(module.run(config) or 0)
+
+
+def current_flags(words: Sequence[str], former: Mapping[str, str]) -> list[str]:
+    """Words of a command line without deprecated flags and policies.
+
+    Each replacement prints a warning.
+    """
+    from .checks import current_policy
+
+    current = []
+    for word in words:
+        name, equals, value = word.partition("=")
+        if new := former.get(name.replace("_", "-")):
+            print(f"warning: {name} is called {new} now", file=sys.stderr)
+            word = new + equals + value
+        if (new := current_policy(word)) != word:
+            names = (one.rpartition("=")[2] for one in (word, new))
+            print("warning: policy {} is called {} now".format(*names), file=sys.stderr)
+        current.append(new)
+    return current
 
 
 def _say(command: str, what: str) -> int:
@@ -119,12 +140,12 @@ def _parser() -> argparse.ArgumentParser:
     with suppress(metadata.PackageNotFoundError):
         version = f"rendezvous {metadata.version('rendezvous-env')}"
     parser.add_argument(
-        "--version", action="version", version=version, help="show the version and end"
+        "--version", action="version", version=version, help="show the version and exit"
     )
     parser.add_argument(
         _COMPLETION,
         choices=("bash", "zsh", "tcsh"),
-        help='print what completes commands and flags: eval "$(rendezvous --completion bash)"',
+        help='print a shell completion script: eval "$(rendezvous --completion bash)"',
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, (_, line) in COMMANDS.items():

@@ -1,6 +1,6 @@
 """Compact text encoding of recordings: 16-bit rounding, time differences, gzip, base64.
 
-A recording of 400 frames of 20 robots takes a hundredth of its size as JSON. In the plane an
+A recording of 400 frames of 20 robots has a hundredth of its size as JSON. In the plane an
 observation row is stored as length and angle. The angle of a neighbour row is relative to the true
 bearing, which makes it nearly 0 for exact sensors.
 """

@@ -84,7 +84,7 @@ def run(config: Config) -> int:
     with user_error(f"{flag} {path}: cannot be read: ", OSError):
         others = path.is_file() and not is_written(path)
     if others:
-        raise UserError(f"{flag} {path}: is there already, and not of this command's making")
+        raise UserError(f"{flag} {path}: exists, and was not written by this command")
     said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
     Console().print(f"{path}: {config.policy}{said} at most")
     return 0
@@ -113,8 +113,8 @@ def _write_onnx(config: Config, path: Path) -> str:
         _check_close(apart, _CLOSE, "of the largest preference")
         size = temporary.stat().st_size
     return (
-        f", {size / 1e3:.0f} kB; on {config.checks} drawn inputs it differs by {apart:.1e} of the "
-        "largest preference"
+        f", {size / 1e3:.0f} kB; on {config.checks} random inputs it differs by {apart:.1e} of "
+        "the largest preference"
     )
 
 
@@ -131,8 +131,7 @@ def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
         policy = policies.make(config.policy, scenario)
     if not isinstance(policy, TrainedPolicy):
         raise UserError(
-            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
-            "writes it as it is"
+            f"--policy {config.policy}: is scripted and has no network; use --standalone robot.py"
         )
     check_installed("export of a model", "train", "torch")
     prepare_file(path, "--out")
@@ -143,7 +142,7 @@ def _write_model(config: Config, path: Path, scenario: Scenario) -> str:
         apart = trained_onnx.compare(policy, written, config.checks)
         _check_close(apart, _CLOSE, "of an action")
         size = temporary.stat().st_size
-    return f", {size / 1e3:.0f} kB; on {config.checks} drawn inputs it differs by {apart:.1e}"
+    return f", {size / 1e3:.0f} kB; on {config.checks} random inputs it differs by {apart:.1e}"
 
 
 def _write_python(config: Config, path: Path) -> str:
@@ -164,8 +163,8 @@ def _write_python(config: Config, path: Path) -> str:
             _check_close(apart, standalone.CLOSE, "m/s")
     whose = scenario.name if config.robot is None else f"robot {config.robot} of {scenario.name}"
     return (
-        f" for {whose}, {len(text) / 1e3:.0f} kB, needs NumPy; on {config.checks} drawn "
-        f"ticks it differs by {apart:.1e} m/s"
+        f" for {whose}, {len(text) / 1e3:.0f} kB, needs NumPy; on {config.checks} random ticks it "
+        f"differs by {apart:.1e} m/s"
     )
 
 
@@ -238,10 +237,10 @@ _OPSET, _IR_VERSION = 18, 8
 """Opset and IR version, old enough for old runtimes on robots."""
 _INPUTS = {
     "neighbours": "Unit bearing x, y; gain, m/s; zero rows are absent",
-    "obstacles": "Counter-clockwise edge x, y; clockwise edge x, y; how fast each turns, rad/s; "
+    "obstacles": "Counter-clockwise edge x, y; clockwise edge x, y; rotation rate of each, rad/s; "
     "zero rows are absent",
-    "context": "What belongs to no set; CONTEXT_COLUMNS of baselines.learned.features",
-    "hidden": "What is remembered; zeros at first",
+    "context": "Context features; CONTEXT_COLUMNS of baselines.learned.features",
+    "hidden": "Recurrent state; zeros initially",
 }
 """Descriptions of the inputs, in the frame with x along f."""
 
@@ -294,7 +293,7 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
         opset_imports=[helper.make_opsetid("", _OPSET)],
         ir_version=_IR_VERSION,
         producer_name="rendezvous-env",
-        doc_string="Which heading to take. Guide and guarantee follow: see baselines.RobotPolicy.",
+        doc_string="Choice of a heading. Base controller and filter: see baselines.RobotPolicy.",
     )
     checker.check_model(made, full_check=True)
     about = {

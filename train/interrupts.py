@@ -73,7 +73,7 @@ def _end_late(reader: int, over: threading.Event, command: str) -> None:
     while content := os.read(reader, 1):  # empty after closing
         if content[0] in SIGNALS and not over.wait(GRACE):
             error = Interrupted(content[0])
-            error.add_note("it did not stop by itself; what it was writing is left out")
+            error.add_note("it did not stop in time; unfinished output was discarded")
             print(line_of(command, error), file=sys.stderr, flush=True)
             os._exit(status_of(error))
     os.close(reader)

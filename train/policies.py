@@ -38,7 +38,7 @@ from rendezvous_env.trajectory import Policy, begin
 
 from .checks import GivenScenario, UserError, unknown_name, user_error
 
-_BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
+_BEST = ("learned-tank", "tank-merged", "learned", "tangent-merged-tuned", "tangent-merged")
 """Policies for obstacles, in order of decreasing collision-free success."""
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared only if named."""
@@ -65,7 +65,7 @@ def labels_of(wanted: Sequence[str]) -> dict[str, str]:
         if not equals or ":" in label or given in baselines.names():
             label, name = "", given
         elif not label.isprintable() or not label.strip() or label in baselines.names():
-            raise UserError(f"--policies {given}: {label!r} is no label; give another word")
+            raise UserError(f"--policies {given}: label {label!r} is invalid; give another word")
         if name in labels:
             raise UserError(f"policy {name!r} is named twice; name each once")
         if label and label in labels.values():
@@ -211,7 +211,7 @@ def promised_time(name: str, policy: Policy, scenario: Scenario) -> float:
             return math.inf
         asked = {"by": "heading", "min_alignment": margin}
     found = certificate(scenario, **asked)
-    # only law (1) meets with unknown errors
+    # only law (1) tolerates unknown errors
     told = asked["by"] == "law" or found.bearing_error == 0.0
     return found.time_bound if told else math.inf
 
@@ -264,8 +264,9 @@ def registered(scenario: Scenario) -> list[tuple[str, str | None]]:
 
 
 def digest_of(function: Callable[..., Any], path: Path | None = None) -> str | None:
-    """Digest of the file that defines a function (or of the given file), or of its source lines in
-    a notebook; None if the source is unavailable.
+    """Digest of the file that defines a function, or of its source lines in a notebook.
+
+    ``path`` is another file to use. None if the source is unavailable.
     """
     if (path := path or file_of(function)) is not None:
         return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -295,7 +296,7 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
     if not callable(function):
         raise UserError(
             f"policy {name!r}: {function_name} in {module_name} is {short_repr(function)}; it "
-            "must be a function of a scenario that gives a policy"
+            "must be a function of a scenario that returns a policy"
         )
     if name not in _found or _found[name][0] is not function:
         _found[name] = function, digest_of(function, _file_of(function, module))
@@ -317,8 +318,8 @@ def _check_fresh(name: str) -> None:
     place = _file_of(function, sys.modules[name.partition(":")[0]])
     if digest_of(function, place) != source_digest(name):
         raise UserError(
-            f"policy {name!r}: {place} was edited since this program imported it; importlib.reload "
-            "it, or begin anew"
+            f"policy {name!r}: {place} was edited since this program imported it; "
+            "importlib.reload it, or restart"
         )
 
 
@@ -329,8 +330,8 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
         policy = function(scenario)
     if policy is not None and (not callable(policy) or inspect.isclass(policy)):
         raise UserError(
-            f"policy {name!r} gave {short_repr(policy)} for scenario {scenario.name!r}; "
-            "it must give a function of observations (..., n, rows, d) and time, or None where it "
+            f"policy {name!r} returned {short_repr(policy)} for scenario {scenario.name!r}; it "
+            "must return a function of observations (..., n, rows, d) and time, or None if it "
             "does not fit"
         )
     return policy

@@ -23,22 +23,23 @@ ARRAYS = {
     "headings": "(T, n, k), rad: yaw, or yaw and pitch; k is 0 where a model has none",
     "velocities": "(T, n, v), m/s; v is d for robots with inertia, else 0",
     "frames": "(T, n, d, d), rotations R_i from the robots' own frames to the world",
-    "active": "(T, n), whether the robot still exists on its own",
-    "merged_into": "(T, n), index of the robot that each one is now part of; its own while active",
+    "active": "(T, n), whether the robot is active (not merged)",
+    "merged_into": "(T, n), index of the robot that each one has merged into; its own while active",
     "lyapunov": "(T,), V, m²/s",
     "lyapunov_before_merge": "(T,), V just before the first merge of the step that led to the "
     "frame, m²/s; NaN if there was none",
     "lyapunov_after_merge": "(T,), V just after the last merge of that step, m²/s, or NaN",
     "contacts": "(T, n), steps with a contact up to the frame",
     "alignment": "(T, n), of the step that led to the frame; NaN where there is none",
-    "observations": "(T, n, rows, d), what the robots saw; only where sensors err, links are not "
-    "fixed and undirected, or a model keeps more, else ``report`` finds it again",
-    "weights": "(changes, links), elsewhere: the links at the start and after each merge, as "
-    "``Simulator.get_state`` gives them",
-    "first": "(changes, links), lower robot of each link, likewise; of large sparse teams only",
+    "observations": "(T, n, rows, d), observations; only with imperfect sensors, links that are "
+    "not fixed and undirected, or models with further memory; otherwise ``report`` recomputes "
+    "them",
+    "weights": "(changes, links), otherwise: the links at the start and after each merge, as in "
+    "``Simulator.get_state``",
+    "first": "(changes, links), lower robot of each link, likewise; for large sparse graphs only",
     "second": "(changes, links), higher robot of each link, likewise",
-    "obstacles": "(M, columns), a row each, as ``rendezvous_env.obstacles.shape`` says",
-    "obstacle_offsets": "(T, M, d), displacements from there, m; only where obstacles move",
+    "obstacles": "(M, columns), one row each, see ``rendezvous_env.obstacles.shape``",
+    "obstacle_offsets": "(T, M, d), displacements from there, m; only with moving obstacles",
     "conditions": "(T, n), the sum of 1 for a robot that has crashed, 2 for an adversarial one, 4 "
     "for one with a failed sensor, 8 for one that was not active in the last step; only with "
     "asynchronous activation or failures",
@@ -62,7 +63,7 @@ LINKS = ("weights", "first", "second")
 def is_recomputable(scenario: Scenario) -> bool:
     """True if observations can be recomputed from recorded states.
 
-    This holds for exact sensors that do not fail, fixed links, obstacles that stand still, and
+    This holds for exact sensors that do not fail, fixed links, obstacles that do not move, and
     robot models without further state.
     """
     model = scenario.model
@@ -89,7 +90,7 @@ def state_of(simulator: Simulator) -> Callable[[], Recording]:
 
 
 def _marks(found: Recording, steps: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Conditions of robots in the last step, (B, n), as ``ARRAYS`` says."""
+    """Conditions of robots in the last step, (B, n), see ``ARRAYS``."""
     marks = np.zeros(next(iter(found.values())).shape, np.uint8)
     for name, mark in _CONDITIONS.items():
         if name in found:
@@ -99,7 +100,7 @@ def _marks(found: Recording, steps: NDArray[np.int64]) -> NDArray[np.uint8]:
     return marks
 
 
-class Recorder:
+class EpisodeRecorder:
     """Recorder of one environment of a batch after a reset, with observations unless exact."""
 
     def __init__(
@@ -195,11 +196,11 @@ def observations(recording: Recording, scenario: Scenario) -> NDArray[np.float32
     """Observations of an exact sensor in each frame, (T, n, rows, d), bitwise as in the episode.
 
     Raises:
-        ValueError: naming an entry that is impossible in the scenario.
+        ValueError: naming an entry that is invalid in the scenario.
     """
     into = recording["merged_into"]
     frames = len(into)
-    simulator = Simulator(scenario, frames)  # a team for each frame
+    simulator = Simulator(scenario, frames)  # one environment per frame
     state = simulator.get_state()
     merged = (into[1:] != into[:-1]).any(axis=-1)
     row = np.concatenate([[0], np.cumsum(merged)])

@@ -22,9 +22,9 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .checks import UserError, user_error
 
-FORMAT_VERSION = 7
+FORMAT_VERSION = 8
 """Format version of the files of ``compare``; raised with every visible change."""
-READABLE_VERSIONS = (5, 6, 7)
+READABLE_VERSIONS = (5, 6, 7, 8)
 """Format versions that this version reads."""
 FORMER_COLUMNS = {
     former: former.replace("clean", "collision_free", 1)
@@ -33,7 +33,7 @@ FORMER_COLUMNS = {
         "clean_difference_low", "clean_difference_high", "clean_planner", "clean_best",
         "clean_mean", "never_clean",
     )
-}  # fmt: skip
+} | {"start": "initial_condition"}  # fmt: skip
 """Columns by the names that they have in older files."""
 
 _INTERVAL = "of the 95 % interval of the column before it; empty for a single episode"
@@ -52,12 +52,12 @@ RESULTS = {
     "median_time": "median time of rendezvous, s; a time-out counts as later than any time",
     "time_low": f"lower end {_INTERVAL} (bootstrap), s",
     "time_high": "upper end of it, s",
-    "time_over_bound": "largest share of the proven time in any episode; empty without a proof",
-    "path_length": "median way of all robots together, m",
-    "min_clearance": "least distance of any robot to an obstacle, m; empty without obstacles",
+    "time_over_bound": "largest ratio of time to bound in any episode; empty without a bound",
+    "path_length": "median path length of all robots together, m",
+    "min_clearance": "minimum distance of any robot to an obstacle, m; empty without obstacles",
     "max_rise_between_merges": "largest change of V in a step up to its first merge, m²/s; "
-    "negative if V fell in every step",
-    "min_alignment": "least alignment |h·f|/‖f‖ of a robot with ‖f‖ ≥ 2δ",
+    "negative if V decreased in every step",
+    "min_alignment": "minimum alignment |h·f|/‖f‖ of a robot with ‖f‖ ≥ 2δ",
     "contacts": "mean number of contacts in an episode, one for each robot and step",
 }
 """Columns of results.csv and their meaning, in order; cells are empty if not applicable."""
@@ -65,14 +65,14 @@ RESULTS = {
 PAIRED = {
     "scenario": "name of the scenario",
     "policy": "name of the policy",
-    "against": "the policy that it is compared with, episode by episode",
+    "against": "reference policy of the paired comparison",
     "collision_free_difference": "collision-free success of the policy minus that of against, "
     "fractions",
     "collision_free_difference_low": f"lower end {_INTERVAL} (bootstrap; Wilson where all "
     "episodes agree)",
     "collision_free_difference_high": "upper end of it",
-    "probability_of_improvement": "chance of doing better in an episode, without a "
-    "collision and sooner; a tie counts half",
+    "probability_of_improvement": "probability of a better episode, collision-free and faster; a "
+    "tie counts half",
     "improvement_low": f"lower end {_INTERVAL} (likewise)",
     "improvement_high": "upper end of it",
 }
@@ -213,8 +213,9 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def versioned(scenario: Scenario) -> dict[str, str]:
-    """Versioned name ("field") and digest of the first initial conditions ("digest") of a named
-    scenario; empty for any other scenario.
+    """Versioned name ("field") and digest ("digest") of a named scenario, else empty.
+
+    The digest is that of the first initial conditions.
     """
     name = scenario.name
     if name not in scenarios.with_versions() or scenario != scenarios.get(name):

@@ -76,7 +76,7 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
             with suppress(OSError):
                 who = path.read_text(encoding="utf-8", errors="replace").strip()
             who = who or "another process"
-            raise UserError(f"{what} is in use by {who}; wait for its end, or stop it") from None
+            raise UserError(f"{what} is in use by {who}; wait until it ends, or stop it") from None
         except OSError as error:
             raise UserError(f"{path}: cannot be locked: {error.strerror}") from error
         with held:
@@ -154,7 +154,7 @@ class RunCheckpoint:
         except OSError:
             return None
         own, content = content[:_DIGEST], content[_DIGEST:]
-        # only results of this very plan are unpickled
+        # only results of this plan are unpickled
         return pickle.loads(content) if own == self._digest(content) else None
 
     def finish(
@@ -196,7 +196,7 @@ class RunCheckpoint:
         """Raise a UserError if the folder belongs to another command."""
         path = self.folder / PLAN
         if not path.is_file():
-            raise UserError(f"{self.folder}: holds no {PLAN}, so it is none of ours; move it away")
+            raise UserError(f"{self.folder}: has no {PLAN}, so it is not ours; move it away")
         unreadable = f"{path}: not readable; remove {self.folder}: "
         with user_error(unreadable, OSError, ValueError, TypeError):
             stored = dict(plain_data.read_json(path))
@@ -214,12 +214,12 @@ class RunCheckpoint:
         remedy = ": give its command to resume it"
         if other in _PROGRAM:
             remedy = (
-                ", begun with another version of rendezvous or of its packages: finish it with "
+                ", started with another version of rendezvous or of its packages: finish it with "
                 "that version"
             )
         raise UserError(
             f"{self.folder} holds an unfinished {self._what} of other {other} ({there}, here "
-            f"{here}){remedy}, --overwrite to throw it away, or another folder than --out {given}"
+            f"{here}){remedy}, --overwrite to discard it, or another folder than --out {given}"
         )
 
 

@@ -218,7 +218,7 @@ def _on_cluster(
             except OwnerDiedError as error:  # this process, which is alive
                 raise UserError(
                     f"the cluster did not reach this process to fetch a result: {_mode()}, and no "
-                    "firewall may stand between"
+                    "firewall may block the connection"
                 ) from error
             except RayError as error:
                 raise UserError(
@@ -240,8 +240,8 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
             socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER).close()
         except (OSError, OverflowError) as error:
             raise UserError(
-                f"--address {address}: no cluster answers there ({error}); "
-                "`ray start --head` says the address of one"
+                f"--address {address}: no cluster answers there ({error}); `ray start --head` "
+                "prints the address of one"
             ) from error
     try:
         ray.init(

@@ -1,6 +1,6 @@
 """Policies as pure JAX functions, from the equations of ``baselines``.
 
-    policy = baselines.jax.make("tangent-joined-tuned", "clutter-8")
+    policy = baselines.jax.make("tangent-merged-tuned", "clutter-8")
     memory = policy.begin((num_envs,))
     actions, memory = policy.act(observations, memory)
 

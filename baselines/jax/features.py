@@ -17,7 +17,7 @@ from ..learned.feature_kernels import _turn, _turn_rate
 from ..learned.features import FeatureLayout
 from .arrays import Array, divided, length_of, parts_of, where
 from .filters import account_of
-from .merged_intervals import Joined, direction_of, joined_interval
+from .merged_intervals import MergedInterval, direction_of, merged_interval
 from .policy import Rows
 
 Pair = tuple[Array, ...]
@@ -47,8 +47,8 @@ class FeatureMemory(NamedTuple):
     walls: Walls
 
 
-class Motion(NamedTuple):
-    """Motion of a robot before a decision."""
+class RecentMotion(NamedTuple):
+    """RecentMotion of a robot before a decision."""
 
     headings: Array  # (..., n, 2), carried; zero where undefined
     velocities: Array | None  # (..., n, 2), m/s; None is that of law (4)
@@ -69,7 +69,7 @@ def no_memory(robots: tuple[int, ...], slots: int) -> FeatureMemory:
 
 def features(
     seen: Rows,
-    motion: Motion,
+    motion: RecentMotion,
     memory: FeatureMemory,
     elapsed: float,
     robot: Robot,
@@ -91,7 +91,7 @@ def features(
     neighbours = _neighbours(seen.neighbours, weights, u)
     obstacles, edges = _obstacles(seen.obstacles, memory.edges, u, elapsed)
     moving, memory_after = _motion(memory, u, motion.headings, velocity, elapsed)
-    joined = joined_interval(u, seen.obstacles)
+    joined = merged_interval(u, seen.obstacles)
     summary = divided(account.strength, account.degree), jnp.minimum(account.strength, 2.0)
     context = [*summary, divided(jnp.ones_like(weights[..., 0]), count), *moving]
     context += _joined(joined)
@@ -155,7 +155,7 @@ def _motion(
     return shown, memory._replace(time=time, towards=now, averages=jnp.stack(averages, axis=-2))
 
 
-def _joined(joined: Joined) -> list[Array]:
+def _joined(joined: MergedInterval) -> list[Array]:
     """Merged interval in the direction of f."""
     closed = joined.closed
     some = ~closed & (joined.high >= joined.low)

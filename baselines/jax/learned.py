@@ -15,8 +15,8 @@ from rendezvous_env.safety.heading import certify_one, scale_of_step, turn_limit
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.safety.turning import Robot, robot_of
 
+from ..learned.base_controller import BaseController
 from ..learned.features import FeatureLayout
-from ..learned.guide import GuidedTeams
 from ..learned.learned_policy import LearnedPolicy
 from ..learned.numpy_actor import NumpyActor, RecurrentUnit
 from ..learned.policy_settings import PolicySettings
@@ -25,9 +25,9 @@ from ..policy import AT_PATH
 from ..steering import WITHIN
 from . import steady_frames
 from .arrays import Array, divided, parts_of, where
-from .features import FeatureMemory, Motion, features, no_memory
+from .features import FeatureMemory, RecentMotion, features, no_memory
 from .filters import TeamFilter, account_of, spend
-from .merged_intervals import direction_of, joined_headings
+from .merged_intervals import direction_of, merged_headings
 from .policy import (
     JaxPolicy,
     Memory,
@@ -167,19 +167,19 @@ class Learned(JaxPolicy):
         return robot_of(self.scenario, self.settings.min_alignment)
 
     @cached_property
-    def _guide(self) -> GuidedTeams:
+    def _controller(self) -> BaseController:
         """Constants of the base controller."""
-        return GuidedTeams(self.settings, self.scenario, 1)
+        return BaseController(self.settings, self.scenario, 1)
 
     @property
     def _way(self) -> Any:
         """How robots that turn, or in 3-D, are steered; None for others."""
-        return None if self._guide.bodies is None else self._guide.bodies._way
+        return None if self._controller.bodies is None else self._controller.bodies._way
 
     @cached_property
     def _filter(self) -> TeamFilter:
         form: Any = Tank if self._has_tank else Heading
-        return TeamFilter(form(self._guide.steering, jnp.float32), self.scenario)
+        return TeamFilter(form(self._controller.steering, jnp.float32), self.scenario)
 
     def act(self, observations: Any, memory: Memory, time: Any = 0.0) -> tuple[Array, Memory]:
         """As ``JaxPolicy.act``."""
@@ -203,7 +203,7 @@ class Learned(JaxPolicy):
         if self._way is not None:
             view, bodies = steady_frames.look(self._way, seen, kept.bodies)
             seen, kept, velocities = view.rows, kept._replace(bodies=bodies), kept.velocities
-        motion = Motion(kept.headings, velocities, levels, angles[kept.choices])
+        motion = RecentMotion(kept.headings, velocities, levels, angles[kept.choices])
         elapsed = self._period * float(self.scenario.tau)
         shown, remembered = features(
             seen, motion, kept.features, elapsed, robot_of(self.scenario), layout
@@ -225,7 +225,7 @@ class Learned(JaxPolicy):
         """Directions of the rule for f rotated by the choices, pairs."""
         aside = array_form(rotated)(parts_of(sum_of(seen)), self._angles[kept.choices])[:2]
         rule = self.settings.clearance, parts_of(kept.headings), self.settings.persistence
-        return joined_headings(direction_of(aside), seen.obstacles, *rule)
+        return merged_headings(direction_of(aside), seen.obstacles, *rule)
 
     def _followed_in_frames(
         self, observations: Any, seen: Rows, kept: _Kept

@@ -1,4 +1,4 @@
-"""Rule of merged intervals in the plane over arrays, as ``obstacle_rules.merged_silhouettes_2d``.
+"""Rule of merged intervals in the plane over arrays, as ``obstacle_rules.merged_intervals_2d``.
 
 Silhouettes are (..., M, 2, 2), counter-clockwise edge first; vectors are pairs or triples of arrays
 (...). The loops over obstacles of the kernels are reductions over the axis M.
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from rendezvous_env.jax.arrays.array_form import array_form, replaces
 from rendezvous_env.physics.vectors import cross_in_plane, dot, rotated, split
 
-from ..obstacle_rules.merged_silhouettes_2d import (
+from ..obstacle_rules.merged_intervals_2d import (
     _ROUNDING,
     TWO_PI,
     _between,
@@ -26,8 +26,8 @@ from .arrays import Array, angle_of, parts_of
 _cross, _dot, _rotated = map(array_form, (cross_in_plane, dot, rotated))
 
 
-class Joined(NamedTuple):
-    """Merged interval of angles around a direction, (...), rad; see ``joined_interval_2d``."""
+class MergedInterval(NamedTuple):
+    """Merged interval of angles around a direction, (...), rad; see ``merged_interval_2d``."""
 
     low: Array
     high: Array
@@ -47,11 +47,11 @@ def _counter_clockwise(angle: Any) -> Any:
     return jnp.where(turned >= TWO_PI - rounding, 0.0, turned)
 
 
-def joined_interval(towards: Any, silhouettes: Array) -> Joined:
+def merged_interval(towards: Any, silhouettes: Array) -> MergedInterval:
     """Interval that silhouettes (..., M, 2, 2) cover around unit pairs, and the gaps beyond it."""
     if silhouettes.shape[-3] == 0:
         free, none = jnp.full_like(towards[0], TWO_PI), jnp.full_like(towards[0], jnp.inf)
-        return Joined(none, -none, free, free)
+        return MergedInterval(none, -none, free, free)
     u = tuple(part[..., None] for part in towards)
     last, first = ((silhouettes[..., s, 0], silhouettes[..., s, 1]) for s in (0, 1))
     seen = (last[0] != 0.0) | (last[1] != 0.0)
@@ -65,7 +65,7 @@ def joined_interval(towards: Any, silhouettes: Array) -> Joined:
     above = jnp.where(apart, beyond - (high - low)[..., None], jnp.inf)
     below = jnp.where(apart, TWO_PI - (beyond + width), jnp.inf)
     some = jnp.any(seen, axis=-1)
-    return Joined(
+    return MergedInterval(
         low=jnp.where(some, low, jnp.inf),
         high=jnp.where(some, high, -jnp.inf),
         gap_below=jnp.where(some, jnp.minimum(free, jnp.min(below, axis=-1)), TWO_PI),
@@ -96,16 +96,16 @@ def _merged(start: Array, width: Array, seen: Array) -> tuple[Array, Array]:
     return jax.lax.fori_loop(0, start.shape[-1], grow, (low, high))
 
 
-def joined_headings(
+def merged_headings(
     towards: Any, silhouettes: Array, clearance: float, carried: Any, persistence: float
 ) -> tuple[Array, Array]:
     """Headings towards the nearer edge of the interval that blocks a unit pair, as
-    ``joined_heading_2d``.
+    ``merged_heading_2d``.
     """
     known = (carried[0] != 0.0) | (carried[1] != 0.0)
     kept = jnp.where(known, angle_of(_cross(towards, carried), _dot(towards, carried)), 0.0)
     weight = jnp.where(known, persistence, 0.0)
-    joined = joined_interval(towards, silhouettes)
+    joined = merged_interval(towards, silhouettes)
     blocked = ~joined.closed & (joined.low < clearance) & (joined.high > -clearance)
     low, high = (jnp.where(blocked, edge, 0.0) for edge in (joined.low, joined.high))
     between = array_form(_between)

@@ -14,10 +14,10 @@ from rendezvous_env.obstacles.shape import azimuth_axes
 from rendezvous_env.physics.vectors import X_AXIS, combine, cross, dot, split
 
 from ..obstacle_rules import planes_in_space
+from ..obstacle_rules.obstacle_edges import TOUCHED
 from ..obstacle_rules.planes_in_space import _PLANES, _Y_AXIS, PASSABLE, _widened, lies_outside
-from ..obstacle_rules.silhouettes import TOUCHED
 from .arrays import Array, parts_of, select
-from .merged_intervals import Joined, direction_of, joined_headings, joined_interval
+from .merged_intervals import MergedInterval, direction_of, merged_headings, merged_interval
 
 Triple = Any
 _combine, _cross, _dot = map(array_form, (combine, cross, dot))
@@ -46,7 +46,7 @@ def widened_cones(silhouettes: Array, clearance: float) -> Cones:
 
 
 def _middle_at_contact(points: Triple) -> Triple:
-    """``silhouettes.middle_of`` of boundary rays, (..., 8)."""
+    """``obstacle_edges.middle_of`` of boundary rays, (..., 8)."""
     first, second, third = (
         array_form(split)(tuple(p[..., s] for p in points))[1] for s in (0, 4, 2)
     )
@@ -74,9 +74,9 @@ def _first(values: Array, which: Array) -> Array:
     return jnp.sum(jnp.where(first[..., None], values, 0.0), axis=-2)
 
 
-def interval_in_plane(silhouettes: Array) -> Joined:
+def interval_in_plane(silhouettes: Array) -> MergedInterval:
     """Merged interval around f of silhouettes of ``cut_by``."""
-    return joined_interval(_ahead(silhouettes), silhouettes)
+    return merged_interval(_ahead(silhouettes), silhouettes)
 
 
 def _ahead(silhouettes: Array) -> tuple[Array, Array]:
@@ -84,7 +84,7 @@ def _ahead(silhouettes: Array) -> tuple[Array, Array]:
     return jnp.ones_like(like), jnp.zeros_like(like)
 
 
-def _nearest_edge(joined: Joined) -> Array:
+def _nearest_edge(joined: MergedInterval) -> Array:
     return jnp.minimum(joined.high, -joined.low)
 
 
@@ -134,7 +134,7 @@ def _lies_outside(direction: Triple, cones: Cones) -> Array:
 def headings_in_planes(
     net_bearing: Triple, silhouettes: Array, rule: Any, carried: Triple, asides: Triple
 ) -> tuple[Triple, Triple]:
-    """Headings of ``tangent-joined-tuned``, and unit vectors across f of the kept planes.
+    """Headings of ``tangent-merged-tuned``, and unit vectors across f of the kept planes.
 
     Silhouettes are (..., M, 8, 3); ``rule`` is clearance, rad, and persistence.
     """
@@ -146,7 +146,7 @@ def headings_in_planes(
     aside, _ = kept_azimuth(towards, before, keeps, clearance, cones)
     cut = cut_by(towards, aside, cones)
     kept = _dot(carried, towards), _dot(carried, aside)
-    x, y = joined_headings(_ahead(cut), cut, clearance, kept, persistence)
+    x, y = merged_headings(_ahead(cut), cut, clearance, kept, persistence)
     heading = _combine(x, towards, y, aside)
     return heading, tuple(jnp.where(y != 0.0, part, 0.0) for part in aside)
 

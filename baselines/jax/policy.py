@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from rendezvous_env.checks import short_repr
+from rendezvous_env.deprecation import warn_renamed
 from rendezvous_env.jax.arrays.array_form import Array, array_form, total
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.heading import step_scale
@@ -65,7 +66,7 @@ class JaxPolicy(ABC):
         """Parts of observations (..., rows, d), as ``ObservationLayout.split``."""
         layout, seen = self.scenario.observation_layout, jnp.asarray(observations)
         seen = seen.astype(jnp.result_type(float))
-        slots = layout.obstacle_slots, layout.silhouette_points, layout.dim
+        slots = layout.obstacle_slots, layout.rows_per_obstacle, layout.dim
         return Rows(
             neighbours=seen[..., layout.neighbours, :],
             obstacles=seen[..., layout.obstacles, :].reshape(*seen.shape[:-2], *slots),
@@ -124,6 +125,9 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         NotImplementedError: for a policy, or robots, that the JAX form does not cover.
         ValueError: as ``baselines.make``.
     """
+    if isinstance(name, str) and (current := policies.current_name(name)) != name:
+        warn_renamed(f"policy {name!r}", repr(current))
+        name = current
     policy = policies.make(name, scenario, **options)
     at_path = isinstance(name, os.PathLike) or name.startswith(policies.AT_PATH)
     kind = policies.AT_PATH if at_path else name

@@ -1,4 +1,4 @@
-"""Rules for obstacles over arrays: the tuned joined rule and the tank rule."""
+"""Rules for obstacles over arrays: tangent-merged-tuned and tank-merged."""
 
 import math
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from rendezvous_env.safety.tank import EnergyTank, certain_descent
 from rendezvous_env.safety.turning import mean_axis, robot_of
 
 from ..obstacle_rules import tank_policies
-from ..obstacle_rules.merged_silhouettes_2d import TWO_PI
-from ..obstacle_rules.obstacle_avoidance import TunedJoinedPolicy
-from ..obstacle_rules.tank_policies import TankJoinedPolicy
+from ..obstacle_rules.merged_intervals_2d import TWO_PI
+from ..obstacle_rules.obstacle_avoidance import TunedMergedPolicy
+from ..obstacle_rules.tank_policies import TankMergedPolicy
 from . import steering
 from .arrays import Array, angle_of, parts_of, select, where
 from .filters import TeamFilter, account_of, gain_of, spend
-from .merged_intervals import Joined, direction_of, joined_headings, joined_interval
+from .merged_intervals import MergedInterval, direction_of, merged_headings, merged_interval
 from .planes import axis_is_clear, cut_by, headings_in_planes, kept_azimuth, widened_cones
 from .policy import (
     JaxPolicy,
@@ -48,8 +48,8 @@ class _Course(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TunedJoined(JaxPolicy):
-    """As ``TunedJoinedPolicy``: merged intervals, a committed side, certified headings."""
+class TunedMerged(JaxPolicy):
+    """As ``TunedMergedPolicy``: merged intervals, a committed side, certified headings."""
 
     clearance: float  # rad
     persistence: float
@@ -91,16 +91,16 @@ class TunedJoined(JaxPolicy):
         """Vectors to certify, and in 3-D what is across f in their planes."""
         if self.scenario.dim == 2:
             rule = self.clearance, carried, self.persistence
-            return joined_headings(direction_of(f), seen.obstacles, *rule), ()
+            return merged_headings(direction_of(f), seen.obstacles, *rule), ()
         limits = self.clearance, self.persistence
         raw, across = headings_in_planes(f, seen.obstacles, limits, carried, parts_of(asides))
         return raw, jnp.stack(across, axis=-1)
 
 
-@register("tangent-joined-tuned")
-def _tuned(policy: TunedJoinedPolicy) -> JaxPolicy:
+@register("tangent-merged-tuned")
+def _tuned(policy: TunedMergedPolicy) -> JaxPolicy:
     limits = policy.min_alignment, policy.max_turn_rate
-    return TunedJoined(policy.scenario, policy._clearance, policy._persistence, *limits)
+    return TunedMerged(policy.scenario, policy._clearance, policy._persistence, *limits)
 
 
 class _Walls(NamedTuple):
@@ -126,8 +126,8 @@ class _Way(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TankJoined(JaxPolicy):
-    """As ``TankJoinedPolicy``: wall following under an energy tank."""
+class TankMerged(JaxPolicy):
+    """As ``TankMergedPolicy``: wall following under an energy tank."""
 
     budget: float  # m²/s
     min_alignment: float  # ε
@@ -243,11 +243,11 @@ class TankJoined(JaxPolicy):
         self, towards: Any, before: Any, spent: Array, silhouettes: Array, memory: _Walls
     ) -> tuple[Array, Array, _Walls]:
         """``tank_policies._turn``: whether a direction is free, the turn from f, and memory."""
-        joined, held = joined_interval(towards, silhouettes), memory.side
+        joined, held = merged_interval(towards, silhouettes), memory.side
         low, high, settings = joined.low, joined.high, self.settings
         clear = ~joined.closed & ((low >= settings.clearance) | (high <= -settings.clearance))
         wall = ~joined.closed & ~clear
-        joined = Joined(*(jnp.where(wall, part, 0.0) for part in joined))
+        joined = MergedInterval(*(jnp.where(wall, part, 0.0) for part in joined))
         nearer = jnp.where(jnp.abs(joined.high) <= jnp.abs(joined.low), 1.0, -1.0)
         turned = jnp.where(spent, -held, held)
         side = jnp.where(wall, jnp.where(held == 0.0, nearer, turned), 0.0)
@@ -265,15 +265,15 @@ class TankJoined(JaxPolicy):
         along = self._along_wall(towards, kept, (edge, gap), silhouettes, side)
         edge, gap = select(jumps, along, (edge, gap))
         turn = jnp.where(wall, edge + side * jnp.minimum(settings.clearance, 0.5 * gap), 0.0)
-        kept_side = jnp.where(joined_closed := ~clear & ~wall, held, side)
-        return ~joined_closed, turn, memory._replace(side=kept_side, work=work, patience=patience)
+        kept_side = jnp.where(merged_closed := ~clear & ~wall, held, side)
+        return ~merged_closed, turn, memory._replace(side=kept_side, work=work, patience=patience)
 
     def _along_wall(
         self, towards: Any, kept: Array, otherwise: Any, silhouettes: Array, side: Array
     ) -> Any:
         """``tank_policies._along_wall``: the edge of the wall next to the heading, and the gap."""
         feeler = kept - side * tank_policies._BEHIND_EDGE * self.settings.clearance
-        felt = joined_interval(_rotated(towards, feeler)[:2], silhouettes)
+        felt = merged_interval(_rotated(towards, feeler)[:2], silhouettes)
         (nearest, beyond), (other, before) = _edge(felt, side), _edge(felt, -side)
         far = side * other > 0.0
         nearest = jnp.where(far, other - side * before, nearest)
@@ -302,13 +302,13 @@ def _unless(lost: Array, after: _Walls, before: _Walls) -> _Walls:
     return where(lost, before, after)
 
 
-def _edge(joined: Joined, side: Array) -> tuple[Array, Array]:
+def _edge(joined: MergedInterval, side: Array) -> tuple[Array, Array]:
     """Edge of a merged interval on a side, and the free angle beyond it, rad."""
     upper = side > 0.0
     edge = jnp.where(upper, joined.high, joined.low)
     return edge, jnp.where(upper, joined.gap_above, joined.gap_below)
 
 
-@register("tank-joined")
-def _tank(policy: TankJoinedPolicy) -> JaxPolicy:
-    return TankJoined(policy.scenario, policy.budget, policy._margin, policy._settings)
+@register("tank-merged")
+def _tank(policy: TankMergedPolicy) -> JaxPolicy:
+    return TankMerged(policy.scenario, policy.budget, policy._margin, policy._settings)

@@ -12,13 +12,13 @@ from rendezvous_env.safety.turning import Gate, mean_axis, rates_of
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import steering
-from ..obstacle_rules import merged_silhouettes_2d
+from ..obstacle_rules import merged_intervals_2d
 from ..obstacle_rules.obstacle_avoidance import FLAT
 from . import planes
 from .arrays import Array, angle_of, parts_of
 from .policy import Rows, within_limits
 
-axis_is_clear = array_form(merged_silhouettes_2d.axis_is_clear)
+axis_is_clear = array_form(merged_intervals_2d.axis_is_clear)
 inputs_towards = array_form(steering.inputs_towards)
 """Speed and turn rates for a desired velocity, a triple, m/s, and the pitch, (..., n), rad."""
 

@@ -88,7 +88,7 @@ def nearest_pursuit_law(bearings: Rows, *, speed: float) -> Array:
         ṗᵢ = v gᵢⱼ,   j the visible robot with least |i − j|             (theorem G, guarantees 10)
 
     Bearings do not determine the nearest robot. Rendezvous takes at most L0/(2vκ(n)) in continuous
-    time on any graph, while every robot sees another one.
+    time on any graph, while every robot has a visible neighbour.
     """
     return _pursuit_law(bearings, rows_from_nearest(*bearings.shape[-3:-1]), speed)
 

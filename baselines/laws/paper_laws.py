@@ -34,9 +34,7 @@ def degree_of(seen: ObservedRows) -> Array:
 
 
 def pitch_of(gravity: NDArray[Any]) -> Array:
-    """Pitch β, (...), rad, from gravity (−sin β, 0, −cos β) in the body frame, (..., 3); 0 for
-    zeros.
-    """
+    """Pitch β, (...), rad, from gravity (−sin β, 0, −cos β) in the body frame, (..., 3), or 0."""
     pitch: Array = np.arctan2(-gravity[..., 0], -gravity[..., 2], dtype=np.float64)
     return np.where(np.any(gravity, axis=-1), pitch, 0.0)
 
@@ -168,9 +166,9 @@ class _LinkKeeping(Law):
         return link_keeping_law(min_norm_points(seen.neighbours), degree_of(seen), **step)
 
 
-# The paper's laws are in continuous time. Held over a step, a turn rate may swing the body past the
-# net bearing and back in the next step, for ever; so no turn goes farther than to f (our departure:
-# it is felt where ‖f‖τ > 1, and in 3-D near β = ±π/2 too).
+# The paper's laws are in continuous time. With zero-order hold a turn rate may rotate the body past
+# f, and back in the next step. Turns therefore end at f. This departs from the paper for ‖f‖τ > 1,
+# and in 3-D near β = ±π/2.
 
 
 def _no_farther(rate: Array, angle: Array, duration: float) -> Array:
@@ -180,14 +178,14 @@ def _no_farther(rate: Array, angle: Array, duration: float) -> Array:
 
 
 def unicycle_inputs(net_bearing: Array, duration: float) -> Array:
-    """``unicycle_law`` for steps of a duration, s: the body turns no farther than to f."""
+    """``unicycle_law`` for steps of a duration, s: turns end at f."""
     f = net_bearing
     rate = _no_farther(f[..., 1], np.arctan2(f[..., 1], f[..., 0]), duration)
     return unicycle_law(np.stack([f[..., 0], rate], axis=-1))
 
 
 def nonholonomic_3d_inputs(net_bearing: Array, pitch: Array, duration: float) -> Array:
-    """``nonholonomic_3d_law`` for steps of a duration, s: the body turns no farther than to f."""
+    """``nonholonomic_3d_law`` for steps of a duration, s: turns end at f."""
     f = net_bearing
     speed, yaw_rate, pitch_rate = np.moveaxis(nonholonomic_3d_law(f, pitch), -1, 0)
     upright = np.copysign(1.0, np.cos(pitch))
@@ -278,7 +276,7 @@ def _velocity_in(seen: ObservedRows) -> Array:
 
 
 def _is_mixed(scenario: Scenario) -> bool:
-    """True for teams of several models with a law for each."""
+    """True for mixed teams with a law for each model."""
     return scenario.mixes_models and set(scenario.robot_model) <= set(_INPUTS)
 
 

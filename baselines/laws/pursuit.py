@@ -17,7 +17,7 @@ from ..steering import turns
 from .literature_laws import Order, chosen_rows, first_seen, rows_from_next
 from .paper_laws import Array, is_unicycle, pitch_of
 
-_SHARE = 0.8  # of ω_max r/2, the speed above which a target can run round its pursuer
+_SHARE = 0.8  # of ω_max r/2, the speed above which a target can circle its pursuer
 
 
 @dataclass
@@ -29,7 +29,7 @@ class Pursuer(StatefulPolicy):
     """
 
     scenario: Scenario
-    speed: Any = None  # c, m/s, less than ω_max r/2; None is somewhat less, or the speed limit
+    speed: Any = None  # c, m/s, less than ω_max r/2; None is slightly less, or the speed limit
     order: Order | None = None  # rows by preference, ([B,] n, K); None is ``rows_from_next``
 
     def __post_init__(self) -> None:

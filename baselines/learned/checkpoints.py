@@ -92,7 +92,7 @@ def describe(place: PathLike) -> dict[str, Any]:
             f"{path}: format_version is {version!r}; this version reads {FORMAT_VERSION}"
         )
     if about.get("sha256") != digest_of_rest(about):
-        raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+        raise CheckpointError(f"{path}: its content was changed: its digest does not match")
     try:
         check_types({"files": about.get("files")}, {"files": dict[str, dict[str, Any]]})
     except ValueError as error:
@@ -113,7 +113,7 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
 
     expected = about["files"].get(path.name)
     if expected is None:
-        raise CheckpointError(f"{path}: is not part of this checkpoint, which holds no such state")
+        raise CheckpointError(f"{path}: is not part of this checkpoint, which has no such state")
     with refusing(path):
         content = path.read_bytes()
     if len(content) != expected.get("bytes"):
@@ -124,5 +124,5 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     if entry(content) != expected:
         raise CheckpointError(f"{path}: its content was changed: sha256 differs from {DESCRIPTION}")
     errors = SafetensorError, ValueError, KeyError, TypeError, AttributeError
-    with refusing(path, "holds no arrays", errors):
+    with refusing(path, "contains no arrays", errors):
         return load(content)

@@ -9,8 +9,8 @@ from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS
 from rendezvous_env.safety.heading import scale_of_step
 
-from ..obstacle_rules.merged_silhouettes_2d import TWO_PI, interval_around, merged_interval
-from ..obstacle_rules.silhouettes import list_seen
+from ..obstacle_rules.merged_intervals_2d import TWO_PI, interval_around, merged_interval
+from ..obstacle_rules.obstacle_edges import list_seen
 
 NEIGHBOUR_COLUMNS = 3
 """Number of features of a neighbour: unit bearing x, y; edge weight a_ij, m/s."""
@@ -116,7 +116,7 @@ def show(part, which, seen, moving, known, memory, tanks, shown):
             _show_motion(memories[team, i], u, heading, velocity, time, kept, context[3:16])
             for m in range(len(visible)):
                 interval_around(u, rows[visible[m] : visible[m] + 2], intervals[m])
-            _show_joined(merged_interval(intervals[: len(visible)]), context[_BLOCKED:])
+            _show_merged(merged_interval(intervals[: len(visible)]), context[_BLOCKED:])
             if levels.shape[2] > 0:
                 level = math.log1p(levels[team, i, 0])
                 context[CONTEXT_COLUMNS] = level
@@ -205,7 +205,7 @@ def _show_motion(memory, u, heading, velocity, time, kept, out):
 
 
 @inner_kernel
-def _show_joined(joined, out):
+def _show_merged(joined, out):
     """Write the merged interval in the direction of f."""
     low, high, gap_below, gap_above = joined
     if high - low >= TWO_PI:

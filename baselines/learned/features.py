@@ -34,8 +34,8 @@ from .feature_kernels import (
     show,
 )
 
-VERSION = 2  # of what the columns mean; a network reads the version that it was trained with
-_WEIGHT = 8  # a robot that is shown something costs as much as so many that a filter steers
+VERSION = 2  # of the columns' meaning; a network uses the version of its training
+_WEIGHT = 8  # cost of a robot's features, relative to its filter
 
 
 class FeatureParts(NamedTuple):
@@ -43,7 +43,7 @@ class FeatureParts(NamedTuple):
 
     neighbours: Any  # (..., K, NEIGHBOUR_COLUMNS)
     obstacles: Any  # (..., M, OBSTACLE_COLUMNS)
-    context: Any  # (..., CONTEXT_COLUMNS and what a tank adds)
+    context: Any  # (..., CONTEXT_COLUMNS and those of a tank)
 
 
 class FeatureLayout(NamedTuple):
@@ -51,7 +51,7 @@ class FeatureLayout(NamedTuple):
 
     neighbour_slots: int  # K
     obstacle_slots: int  # M
-    tank_columns: int = 0  # what a tank adds to the context
+    tank_columns: int = 0  # context columns with a tank
 
     @property
     def context_columns(self) -> int:
@@ -79,7 +79,7 @@ class Features(StatefulMixin):
     """Features of B environments of n robots, computed once per decision.
 
     Args:
-        scenario: defines the sensors; 3-D robots observe planes (``SteadyPlanes``).
+        scenario: defines the sensors; 3-D robots observe planes (``OdometryPlane``).
         num_envs: B.
         decision_time: default time between two decisions of an environment, s.
         obstacle_slots: M; rows beyond those of the scenario are absent. None uses the scenario's.

@@ -16,7 +16,7 @@ from ..policy import Float32, Mask, within_limits
 from ..search.direct_control import check_searches
 from ..steering import check_steerable
 from . import checkpoints
-from .guide import Guide, make_guide
+from .base_controller import Controller, make_controller
 from .numpy_actor import Network, NumpyActor
 from .onnx_network import SUFFIX, OnnxNetwork
 from .policy_settings import PolicySettings
@@ -24,10 +24,10 @@ from .policy_settings import PolicySettings
 __all__ = ["LearnedPolicy", "PolicySettings", "load"]
 
 
-class GuidedPolicy(DecidingPolicy):
+class ControllerPolicy(DecidingPolicy):
     """Base class of policies that choose for a base controller."""
 
-    _guided: Guide
+    _controller: Controller
 
     def __init__(self, scenario: Scenario, settings: PolicySettings) -> None:
         super().__init__(scenario, settings.decision_period(scenario))
@@ -54,27 +54,27 @@ class GuidedPolicy(DecidingPolicy):
 
     def _start(self, teams: int) -> None:
         super()._start(teams)
-        self._guided = make_guide(self.settings, self.scenario, teams)
+        self._controller = make_controller(self.settings, self.scenario, teams)
 
     def _forget(self, which: Mask) -> None:
         super()._forget(which)
-        self._guided.forget(which)
+        self._controller.forget(which)
 
     def _settle(self, share: float) -> None:
-        self._guided.settle(share)
+        self._controller.settle(share)
 
     def _decide(self, teams: Float32, due: Mask) -> None:
         steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
-        shown = np.zeros((*teams.shape[:2], self._guided.perception.layout.size), np.float32)
-        self._choose(self._guided.show(shown, teams, due, steps * self.scenario.tau), due)
+        shown = np.zeros((*teams.shape[:2], self._controller.perception.layout.size), np.float32)
+        self._choose(self._controller.show(shown, teams, due, steps * self.scenario.tau), due)
 
     def _act(self, teams: Float32, elapsed: float) -> Float32:
         return within_limits(
-            self._guided.apply(teams, elapsed=elapsed).astype(np.float64), self.scenario
+            self._controller.apply(teams, elapsed=elapsed).astype(np.float64), self.scenario
         )
 
 
-class LearnedPolicy(GuidedPolicy):
+class LearnedPolicy(ControllerPolicy):
     """Greedy choices of a network under a guarantee that holds for any weights.
 
     The guarantee is theorem C or D; for nonholonomic robots it is theorem T, or that V + ΣA does
@@ -105,9 +105,9 @@ class LearnedPolicy(GuidedPolicy):
     @property
     def levels(self) -> NDArray[np.float64] | None:
         """Stored energies, (..., n), m²/s; None without tanks or before the first action."""
-        if self._leading is None or self._guided.tank is None:
+        if self._leading is None or self._controller.tank is None:
             return None
-        return self._as_given(self._guided.tank.levels)
+        return self._as_given(self._controller.tank.levels)
 
     def _start(self, teams: int) -> None:
         super()._start(teams)
@@ -119,13 +119,13 @@ class LearnedPolicy(GuidedPolicy):
         self._hidden[which] = 0.0
 
     def _choose(self, shown: Float32, due: Mask) -> None:
-        choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
+        choices, alive = self._controller.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
         hidden = self._hidden[alive]
         choices[alive] = self._chooser.choose(shown[alive], hidden)
         self._hidden[due] = 0.0  # inactive robots have no memory
         self._hidden[alive] = hidden
-        self._guided.choose(choices)
+        self._controller.choose(choices)
 
 
 def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy:
@@ -142,6 +142,6 @@ def load(path: str | os.PathLike[str], scenario: ScenarioLike) -> LearnedPolicy:
         return LearnedPolicy(scenario, network, network.settings)
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])
-    with checkpoints.refusing(place, "is no policy of this version"):
+    with checkpoints.refusing(place, "is not a policy of this version"):
         settings = PolicySettings.from_plain(about.get("policy"))
         return LearnedPolicy(scenario, tables["network"], settings)

@@ -34,11 +34,11 @@ def checked_session(path: Path, content: bytes) -> Any:
     digest = _DIGEST.search(content)  # before the content is parsed
     if digest is None:
         raise CheckpointError(
-            f"{path}: holds no digest: it was changed, or `rendezvous export` of this version "
-            "did not write it"
+            f"{path}: has no digest: it was changed, or not written by `rendezvous export` of "
+            "this version"
         )
     if digest[1].decode() != digest_of(content):
-        raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+        raise CheckpointError(f"{path}: its content was changed: its digest does not match")
     return _session(path, content)
 
 
@@ -60,12 +60,12 @@ class OnnxNetwork(Network):
             raise CheckpointError(
                 f"{path}: its metadata has no {SETTINGS_KEY!r}; `rendezvous export` writes it"
             )
-        with refusing(path, "is no policy of this version"):
+        with refusing(path, "is not a policy of this version"):
             self.settings = PolicySettings.from_plain(json.loads(found))
         self.layout = self.settings.layout(0, 0)
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_session": None}  # which cannot be pickled and is recreated
+        return vars(self) | {"_session": None}  # the session cannot be pickled and is recreated
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _session=_session(*state["_file"]))
@@ -97,5 +97,5 @@ def _session(path: Path, content: bytes) -> Any:
         ) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    with refusing(path, "is no ONNX model", (Exception,)):  # its errors have no other common base
+    with refusing(path, "is not an ONNX model", (Exception,)):  # no narrower common base
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])

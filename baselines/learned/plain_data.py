@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 
 def read_json(path: Path) -> Any:
-    """Read plain data from a file; OSError, or a ValueError that says why it is not JSON."""
+    """Read plain data from a file; OSError, or a ValueError with the reason why it is not JSON."""
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except RecursionError as error:

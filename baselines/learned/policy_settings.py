@@ -25,7 +25,7 @@ from .features import VERSION, FeatureLayout
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 """Choices with certified headings, rad counter-clockwise from f; 0 is the unmodified rule."""
 ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
-"""Choices with a tank, which pays for motion away from f, rad."""
+"""Choices with a tank, which allows motion away from f, rad."""
 COMMANDS = (
     *((1.0, rate) for rate in (0.0, 0.2, -0.2, 0.5, -0.5, 1.0, -1.0)),
     *((0.0, rate) for rate in (0.0, 0.2, -0.2, 0.5, -0.5, 1.0, -1.0)),

@@ -16,7 +16,7 @@ from .policy_settings import PolicySettings
 _SHIPPED = {
     "learned": (
         "pretrained",
-        "Network that rotates f for the rule tangent-joined-tuned, under certified headings.",
+        "Network that rotates f for the rule tangent-merged-tuned, under certified headings.",
     ),
     "learned-tank": (
         "pretrained_tank",
@@ -34,7 +34,7 @@ _SHIPPED = {
 """Folder of the weights and one-line description, by name."""
 NAMES = tuple(_SHIPPED)
 _FITS = {"learned-search": of_model("unicycle")}
-"""Robots of the policies that do not fit all of ``can_steer``."""
+"""Supported robots of policies that do not support all of ``can_steer``."""
 _OF_OTHERS = {"learned-tank": "pretrained_tank_unicycle"}
 """Weights for all robot models but single integrators in the plane, trained with unicycles and
 larger tanks, never in 3-D. The other weights were trained with such integrators only."""

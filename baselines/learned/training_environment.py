@@ -22,8 +22,8 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
 from ..steering import can_steer
+from .base_controller import make_controller
 from .features import FeatureLayout
-from .guide import make_guide
 from .policy_settings import PolicySettings
 from .shipped import POLICIES, preset
 
@@ -34,21 +34,22 @@ def observation_box(size: int) -> Box:
 
 
 class FeatureVectorEnv(GuaranteeWrapper):
-    """Vector environment whose robots choose from features, see ``GuidedTeams``.
+    """Vector environment with features as observations and choices as actions.
 
-    Actions are choices (B, n), each held for ``decision_period`` steps. Observations are (B, n,
-    layout.size), including the last ones of an episode.
+    Actions are choices (B, n), each repeated for ``decision_period`` steps. Observations, also the
+    last of an episode, are (B, n, layout.size).
 
     Args:
         env: environments of any robot model but double integrators, in any autoreset mode.
         settings: settings of the trained policy.
-        contact_penalty: penalty for a robot's first contact in an episode, see ``TrainingTeams``.
+        contact_penalty: penalty for a robot's first contact in an episode, as in
+            ``TrainingVectorEnv``.
         own_progress: reward of a robot for its own share of the decrease of V, see ``shares_of``.
         obstacle_slots: as ``Features``, with its errors.
         global_state: features for critics, appended to the observations; None appends none. It has
             a ``size``, the number per robot, and ``states(simulator, f, levels)``, (B, n, size).
             f_i is (B, n, 2), of any length, in the robots' own frames; levels are A/(r D̄), (B, n).
-        discrete: False takes directions (B, n, 2) in place of choices, see ``GuidedTeams.head``.
+        discrete: False takes directions (B, n, 2) in place of choices, see ``BaseController.head``.
     """
 
     def __init__(
@@ -65,10 +66,10 @@ class FeatureVectorEnv(GuaranteeWrapper):
         scenario, n = env.scenario, env.scenario.n_robots
         threads = env.simulator.num_threads
         self.settings, self.global_state, self.discrete = settings, global_state, discrete
-        self.guided = guided = make_guide(
+        self.controller = controller = make_controller(
             settings, scenario, env.num_envs, obstacle_slots=obstacle_slots, num_threads=threads
         )
-        super().__init__(env, guided.steering, settings.decision_period(scenario))
+        super().__init__(env, controller.steering, settings.decision_period(scenario))
         more = 0 if global_state is None else global_state.size
         self.single_observation_space = team_box(observation_box(self.layout.size + more), n)
         self.single_action_space = (
@@ -83,45 +84,45 @@ class FeatureVectorEnv(GuaranteeWrapper):
     @property
     def layout(self) -> FeatureLayout:
         """Layout of a robot's features."""
-        return self.guided.perception.layout
+        return self.controller.perception.layout
 
     @property
     def alignment(self) -> NDArray[np.float64]:
         """Alignment of the headings with f in the last step, (B, n); NaN where undefined."""
-        return self.guided.steering.alignment
+        return self.controller.steering.alignment
 
-    def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
-        """As ``GuaranteeWrapper._drive``, with own progress and the penalty for first contacts."""
+    def _step_decision(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
+        """Steps of one decision, with own progress and the penalty for first contacts."""
         base: Any = self.env
         before = base.simulator.positions.copy() if self.own_progress else None
-        shown, rewards, ends, cuts, infos = super()._drive()
+        view, rewards, ends, cuts, infos = super()._step_decision()
         if before is not None:
             shares = self.own_progress * shares_of(base.simulator, before)
             infos["robot_rewards"] += shares
             rewards = rewards + shares.mean(axis=1)
-        contact, price = infos["contact"], self.contact_penalty
-        rewards = charge_first_contacts(price, contact, self._touched, rewards, infos)
-        return shown, rewards, ends, cuts, infos
+        contact, penalty = infos["contact"], self.contact_penalty
+        rewards = charge_first_contacts(penalty, contact, self._touched, rewards, infos)
+        return view, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
-        (self.guided.choose if self.discrete else self.guided.head)(actions)
+        (self.controller.choose if self.discrete else self.controller.head)(actions)
 
     @property
-    def _pilot(self) -> BatchController | None:
-        return self.guided
+    def _controller(self) -> BatchController | None:
+        return self.controller
 
     def _act(self) -> NDArray[np.float32]:
-        return self.guided.apply(self._observed)
+        return self.controller.apply(self._observed)
 
-    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+    def _view(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         size = self.layout.size
-        self.guided.show(self._shown[..., :size], self._observed, which)
+        self.controller.show(self._shown[..., :size], self._observed, which)
         if self.global_state is not None:
             base: Any = self.env
             towards = base.scenario.observation_layout.net_bearing(self._observed)
             if self.settings.guarantee == "none":
                 towards = np.zeros_like(towards)  # features have x along the body
-            tank, nothing = self.guided.tank, np.zeros(self._touched.shape)
+            tank, nothing = self.controller.tank, np.zeros(self._touched.shape)
             levels = nothing if tank is None else tank.normalised_levels
             state = self.global_state.states(base.simulator, towards, levels)
             mine = slice(None) if which is None else which
@@ -129,7 +130,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         return self._shown.copy() if which is None else self._shown
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
-        self.guided.forget(which)
+        self.controller.forget(which)
         self._touched[slice(None) if which is None else which] = False
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -144,8 +145,8 @@ class FeatureVectorEnv(GuaranteeWrapper):
 
     @property
     def _parts(self) -> dict[str, Any]:
-        bodies = self.guided.bodies
-        parts = super()._parts | {"perception": self.guided.perception}
+        bodies = self.controller.bodies
+        parts = super()._parts | {"perception": self.controller.perception}
         return parts if bodies is None else parts | {"bodies": bodies}
 
 
@@ -185,7 +186,7 @@ class ShippedPreset:
         return guarantee in POLICIES and can_steer(scenario)
 
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
-        """Arguments of the guarantee's wrapper where observations and actions are not the preset's.
+        """Arguments of the guarantee's wrapper if observations and actions are not the preset's.
 
         The decision period is that of the shipped policy. A tank has its budget in units of r D̄
         and an observed stored energy.
@@ -222,7 +223,7 @@ class ShippedPreset:
                 changes[key] = number(key, value)
             else:
                 raise_invalid(
-                    key, value, "left to the learning preset; learning_preset=False takes it"
+                    key, value, "omitted: the learning preset sets it, unless learning_preset=False"
                 )
         settings = replace(preset(guarantee, scenario).settings, **changes)
         return FeatureVectorEnv(env, settings, discrete=discrete)

@@ -17,7 +17,7 @@ from rendezvous_env.engine.state_checks import check_numbers
 from rendezvous_env.safety.heading import certified_heading, flexible_velocity, step_scale
 from rendezvous_env.safety.settings import check_margin, check_vectors
 from rendezvous_env.safety.turning import rates_of
-from rendezvous_env.scenario.observation_layout import SILHOUETTE_POINTS
+from rendezvous_env.scenario.observation_layout import ROWS_PER_OBSTACLE
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import (
@@ -31,12 +31,12 @@ from ..policy import (
     within_limits,
 )
 from ..steering import Steering, can_steer
-from .merged_silhouettes_2d import axis_is_clear, joined_headings_2d
-from .merged_silhouettes_3d import joined_headings_3d
+from .merged_cones_3d import merged_headings_3d
+from .merged_intervals_2d import axis_is_clear, merged_headings_2d
+from .obstacle_edges import tangent_headings
 from .planes_in_space import axis_is_clear_3d, headings_in_planes, widened_rays
-from .silhouettes import tangent_headings
 
-FLAT = 0.04  # rad; the flat sides between eight boundary rays lie within a round cone by no more
+FLAT = 0.04  # rad; maximum distance of flat sides between eight boundary rays from a round cone
 Array = NDArray[np.float64]
 HeadingRule = Callable[[Array, NDArray[Any]], Array]
 """Heading rule: net bearings and silhouettes → headings hᵢ, (..., d), unit vectors.
@@ -58,7 +58,7 @@ def tangent_blocking_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> A
     return _over_robots(tangent_headings, net_bearing, silhouettes, True)
 
 
-def tangent_joined_heading(
+def tangent_merged_heading(
     net_bearing: Array,
     silhouettes: NDArray[Any],
     *,
@@ -68,17 +68,17 @@ def tangent_joined_heading(
 ) -> Array:
     """Nearer edge of the merged interval that blocks f (theory 6).
 
-    See ``joined_headings_2d`` and ``joined_headings_3d``. The clearance from edges is in rad. In
+    See ``merged_headings_2d`` and ``merged_headings_3d``. The clearance from edges is in rad. In
     the plane ``carried`` are the headings of the previous step, (..., d), zero where undefined.
     With a ``persistence``, the angles of edges from these headings count in addition to those from
     f.
     """
     f = check_vectors("net_bearing", net_bearing)
     if f.shape[-1] == 3:
-        return _over_robots(joined_headings_3d, f, silhouettes, float(clearance))
+        return _over_robots(merged_headings_3d, f, silhouettes, float(clearance))
     before = np.zeros_like(f) if carried is None else check_vectors("carried", carried, like=f)
     options = float(clearance), before.reshape(-1, 2), float(persistence)
-    return _over_robots(joined_headings_2d, f, silhouettes, *options)
+    return _over_robots(merged_headings_2d, f, silhouettes, *options)
 
 
 def _over_robots(
@@ -86,7 +86,7 @@ def _over_robots(
 ) -> Array:
     f = check_vectors("net_bearing", net_bearing)
     d, slots = f.shape[-1], np.shape(silhouettes)[-3:-2] or (0,)
-    shape = *f.shape[:-1], *slots, SILHOUETTE_POINTS[d], d
+    shape = *f.shape[:-1], *slots, ROWS_PER_OBSTACLE[d], d
     given = check_numbers("silhouettes", silhouettes, shape, "(..., M, S, d)")
     headings, robots = np.empty_like(f), f.size // d  # -1 cannot be inferred without obstacles
     points = np.ascontiguousarray(given).reshape(robots, *shape[-3:])
@@ -157,7 +157,7 @@ class CertifiedHeadingPolicy(StatefulPolicy):
 
     scenario: Scenario
     rule: HeadingRule
-    min_alignment: float = 0.1  # ε, the margin |hᵀf| ≥ ε‖f‖
+    min_alignment: float = 0.1  # ε, minimum alignment: |hᵀf| ≥ ε‖f‖
     max_turn_rate: float = 3.0  # ω_max of the heading, rad/s
 
     def __post_init__(self) -> None:
@@ -195,7 +195,7 @@ class CertifiedHeadingPolicy(StatefulPolicy):
             f,
             self._previous,
             min_alignment=self.min_alignment,
-            dead_zone=scenario.dead_zone or 1.0,  # without a link f is 0 whatever it is
+            dead_zone=scenario.dead_zone or 1.0,  # any value, since f is 0 without links
             max_turn=self.max_turn_rate * elapsed,
         )
         scale = step_scale(layout.degree(seen), scenario.merge_radius, scenario.tau)
@@ -236,11 +236,11 @@ def _tangent_blocking(scenario: Scenario) -> Policy:
     return BareHeadingPolicy(scenario, tangent_blocking_heading)
 
 
-@register("tangent-joined", fits=can_pass_obstacles, kind="rule")
-def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
+@register("tangent-merged", fits=can_pass_obstacles, kind="rule")
+def _tangent_merged(scenario: Scenario, clearance: float = 0.05) -> Policy:
     """As tangent-blocking, with overlapping obstacles merged."""
     check_clearance(clearance)
-    return BareHeadingPolicy(scenario, partial(tangent_joined_heading, clearance=clearance))
+    return BareHeadingPolicy(scenario, partial(tangent_merged_heading, clearance=clearance))
 
 
 @register("tangent-certified", fits=_among_obstacles, kind="rule")
@@ -259,24 +259,24 @@ def _tangent_blocking_certified(
     return CertifiedHeadingPolicy(scenario, tangent_blocking_heading, min_alignment, max_turn_rate)
 
 
-@register("tangent-joined-certified", fits=_among_obstacles, kind="rule")
-def _tangent_joined_certified(
+@register("tangent-merged-certified", fits=_among_obstacles, kind="rule")
+def _tangent_merged_certified(
     scenario: Scenario,
     clearance: float = 0.05,
     min_alignment: float = 0.1,
     max_turn_rate: float = 3.0,
 ) -> Policy:
-    """As tangent-joined, with the certified heading of theorem C."""
+    """As tangent-merged, with the certified heading of theorem C."""
     check_clearance(clearance)
-    rule = partial(tangent_joined_heading, clearance=clearance)
+    rule = partial(tangent_merged_heading, clearance=clearance)
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
 
 
-@register("tangent-joined-tuned", fits=can_pass_obstacles, kind="rule")
-class TunedJoinedPolicy(CertifiedHeadingPolicy):
-    """As tangent-joined-certified, tuned and persistent in its choice of side.
+@register("tangent-merged-tuned", fits=can_pass_obstacles, kind="rule")
+class TunedMergedPolicy(CertifiedHeadingPolicy):
+    """As tangent-merged-certified, tuned and persistent in its choice of side.
 
-    The persistence is λ of ``joined_headings_2d``; in 3-D a robot keeps its plane as well
+    The persistence is λ of ``merged_headings_2d``; in 3-D a robot keeps its plane as well
     (``headings_in_planes``). An edge beyond the cap is used unmodified. The robot then slows down
     at the boundary of the cap and does not turn into an obstacle behind it.
     """
@@ -293,7 +293,7 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
         if persistence is None:
             persistence = 0.5 if scenario.dim == 2 else 0.35
         self._clearance, self._persistence = clearance, number("persistence", persistence, 0)
-        super().__init__(scenario, tangent_joined_heading, min_alignment, max_turn_rate)
+        super().__init__(scenario, tangent_merged_heading, min_alignment, max_turn_rate)
 
     def _start(self, teams: int) -> None:
         super()._start(teams)
@@ -307,7 +307,7 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
         d, silhouettes = f.shape[-1], self.scenario.observation_layout.split(seen).obstacles
         rule = float(self._clearance), self._previous.reshape(-1, d), self._persistence
         if d == 2:
-            return _over_robots(joined_headings_2d, f, silhouettes, *rule)
+            return _over_robots(merged_headings_2d, f, silhouettes, *rule)
         self._asides = self._steering.turned(self._asides, self._sent, seen, elapsed)
         asides = self._asides.reshape(-1, 3)
         return _over_robots(headings_in_planes, f, silhouettes, *rule, asides)

@@ -1,7 +1,7 @@
 """Obstacles of 3-D scenarios in a plane that contains f.
 
-A robot passes obstacles at an azimuth about f. Their cones, widened by a clearance, intersect its
-plane in silhouettes of the plane.
+A robot passes obstacles at an azimuth about f. The intersections of their cones, widened by a
+clearance, with its plane are angular extents in 2-D.
 """
 
 import math
@@ -23,8 +23,8 @@ from rendezvous_env.physics.vectors import (
 )
 from rendezvous_env.safety.turning import mean_axis
 
-from .merged_silhouettes_2d import TWO_PI, joined_heading_2d, joined_interval_2d
-from .silhouettes import TOUCHED, direction_of, is_seen, middle_of
+from .merged_intervals_2d import TWO_PI, merged_heading_2d, merged_interval_2d
+from .obstacle_edges import TOUCHED, direction_of, is_seen, middle_of
 
 _Y_AXIS = (0.0, 1.0, 0.0)
 _WIDEST = 0.5 * math.pi - 0.01  # rad; maximum half angle of a widened cone
@@ -35,7 +35,7 @@ PASSABLE = 1.4
 
 @kernel(allocates=True)
 def headings_in_planes(net_bearing, silhouettes, clearance, carried, persistence, asides, out):
-    """``joined_headings_2d`` in a plane of 3-D, which is kept while an obstacle in it blocks f.
+    """``merged_headings_2d`` in a plane of 3-D, which is kept while an obstacle in it blocks f.
 
     Inputs are as there, with f (N, 3) and cones (N, M, 8, 3), widened by half of the clearance.
     ``asides``, (N, 3), are the unit vectors across f of the kept planes, zero where undefined; they
@@ -52,7 +52,7 @@ def headings_in_planes(net_bearing, silhouettes, clearance, carried, persistence
             before = _nearest_ray(towards, views[0])
         aside, _ = kept_azimuth(towards, before, keeps, clearance, views)
         kept, rule = (dot(was, towards), dot(was, aside), 0.0), (clearance, persistence)
-        heading = joined_heading_2d(X_AXIS, views[1], kept, rule, views[2])
+        heading = merged_heading_2d(X_AXIS, views[1], kept, rule, views[2])
         store(combine(heading[0], towards, heading[1], aside), out[i])
         store(aside if heading[1] != 0.0 else ORIGIN, asides[i])
 
@@ -112,7 +112,7 @@ def kept_azimuth(towards, before, keeps, clearance, views):
     aside, _ = azimuth_axes(towards, before, X_AXIS, _Y_AXIS)
     if keeps > 0.0:
         cut_by(towards, aside, rays, cut)
-        low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)
+        low, high, _, _ = merged_interval_2d(X_AXIS, cut, intervals)
         if high - low < TWO_PI and min(high, -low) < keeps:
             return aside, True
     aside = _best_azimuth(towards, aside, clearance, views)
@@ -129,7 +129,7 @@ def _best_azimuth(towards, first, clearance, views):
         angle = k * math.pi / _PLANES
         aside = combine(math.cos(angle), first, math.sin(angle), second)
         cut_by(towards, aside, rays, cut)
-        low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)
+        low, high, _, _ = merged_interval_2d(X_AXIS, cut, intervals)
         if low >= clearance or high <= -clearance:
             return aside
         if high - low < TWO_PI and min(high, -low) < least:

@@ -14,7 +14,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from ..policy import Float32, Mask, StatefulPolicy, of_model, register, within_limits
 
 Array = NDArray[np.float64]
-_PERIODS = 20.0  # least duration of ``remember``, time steps
+_PERIODS = 20.0  # minimum of ``remember``, time steps
 _SMOOTHING = 10.0  # time constant of the memory of bearings, time steps
 _ALIGNED = 0.5  # rad; a robot drives within this angle of the desired direction
 _CLEARANCE = 0.25  # rad, of the desired direction from obstacle edges

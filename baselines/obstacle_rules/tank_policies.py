@@ -38,7 +38,7 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import Float32, Mask, StatefulPolicy, register
 from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, inputs_towards
-from .merged_silhouettes_2d import TWO_PI, axis_is_clear, joined_interval_2d
+from .merged_intervals_2d import TWO_PI, axis_is_clear, merged_interval_2d
 from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
 from .planes_in_space import axis_is_clear_3d, kept_azimuth, widened_rays
 
@@ -50,19 +50,19 @@ reached the wall, m²/s; its maximum decrease before the robot turns back, over 
 tank was too low in the previous step; the heading (3); in 3-D the unit vector across f of the kept
 plane (3)."""
 
-_JUMP = 1.5  # rad; an edge so far from the heading is another wall's
-_LOST = 2.4  # rad; farther round than this no wall is felt for
-_BEHIND_EDGE = 0.9  # of the clearance: how far beside the heading the wall is felt for
-_LARGEST_PATIENCE = 1e3  # of the first try's
-_BUDGET = 250.0  # in units of r max a_ij: 50 m²/s where r is 0.2 m and weights are 1 m/s
+_JUMP = 1.5  # rad; an edge farther from the heading belongs to another wall
+_LOST = 2.4  # rad; maximum angle at which a wall is searched
+_BEHIND_EDGE = 0.9  # of the clearance: angle from the heading at which the wall is searched
+_LARGEST_PATIENCE = 1e3  # of that of the first attempt
+_BUDGET = 250.0  # in units of r max a_ij: 50 m²/s for r = 0.2 m and weights of 1 m/s
 _PATIENCE = 5.0  # in units of r
 _ROUNDING = 5e-6
 """Reserve of a tank for rounding of actions to float32, in units of r max a_ij."""
-_REST_TIME = 30.0  # s for which the tank must last at rest after any step that costs something
+_REST_TIME = 30.0  # s for which the tank must last at rest after a step that uses energy
 _TOIL = 0.15
 """Fraction of ‖f‖ times path length that counts as lost for nonholonomic robots.
 
-Otherwise two opposite robots could circle one obstacle for ever."""
+Otherwise two opposite robots could circle one obstacle indefinitely."""
 
 
 class _Settings(NamedTuple):
@@ -70,9 +70,9 @@ class _Settings(NamedTuple):
 
     robot: Robot
     clearance: float  # rad; in space within the plane, and across it
-    patience: float  # m back that a first try may lead; each turn doubles it
-    aligned: float  # rad; within this angle of where they are to go robots that turn drive
-    rounding: float  # m²/s that a tank must have left
+    patience: float  # m against f of a first attempt; each turn doubles it
+    aligned: float  # rad; nonholonomic robots drive within this angle of the desired direction
+    rounding: float  # m²/s that must remain in a tank
 
 
 @kernel(allocates=True)
@@ -84,8 +84,8 @@ def wall_following_velocities(
         vᵢ = sᵢ ‖fᵢ‖ hᵢ                                                            (guarantees 8)
 
     For nonholonomic robots the outputs are the speeds and turn rates that follow them. A robot
-    rests where its tank would not suffice, and turns back afterwards. Inputs are fᵢ, (N, d), and
-    Dᵢ, (N,), m/s, silhouettes (N, M, S, d), Aᵢ, (N,), m²/s, and βᵢ, (N,), rad, of 3-D nonholonomic
+    rests if its stored energy is too low, and turns back afterwards. Inputs are fᵢ, (N, d), and Dᵢ,
+    (N,), m/s, silhouettes (N, M, S, d), Aᵢ, (N,), m²/s, and βᵢ, (N,), rad, of 3-D nonholonomic
     robots. ``memory``, (N, MEMORY), is updated. The output is ``out``, (N, a), m/s, or m/s and
     rad/s.
     """
@@ -97,7 +97,7 @@ def wall_following_velocities(
         before = load(memory[i, HEADING : HEADING + dim])
         spent = memory[i, SHORT] > 0.0 or memory[i, WORK] < -memory[i, PATIENCE] * strength
         if robot.turns and before[0] < math.cos(settings.aligned):
-            spent = False  # it has still to turn on the spot
+            spent = False  # it first turns on the spot
         memory[i, SHORT] = 0.0
         if strength == 0.0:
             out[i, :] = 0.0
@@ -137,7 +137,7 @@ def _way_in_space(towards, before, spent, settings, memory, views):
     free, turn = _turn(X_AXIS, within, spent, views[1], settings, memory, views[2])
     heading = combine(math.cos(turn), towards, math.sin(turn), aside)
     store(heading, memory[HEADING:ASIDE])
-    # the next azimuth once both of this plane have been tried
+    # the next azimuth after both sides of this plane
     following = cross(towards, aside) if held < 0.0 < memory[SIDE] else aside
     store(following if memory[SIDE] != 0.0 else ORIGIN, memory[ASIDE:])
     return free, heading, aside
@@ -146,7 +146,7 @@ def _way_in_space(towards, before, spent, settings, memory, views):
 @inner_kernel
 def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
     """True if any direction is free, and the angle from f to the heading, rad."""
-    joined = joined_interval_2d(towards, silhouettes, intervals)
+    joined = merged_interval_2d(towards, silhouettes, intervals)
     low, high = joined[0], joined[1]
     clearance, held = settings.clearance, memory[SIDE]
     if high - low >= TWO_PI:
@@ -175,12 +175,12 @@ def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
 def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals):
     """Edge of the wall next to the heading, rad from f, and the gap beyond; else the defaults."""
     feeler = kept - side * _BEHIND_EDGE * settings.clearance
-    felt = joined_interval_2d(rotated(towards, feeler), silhouettes, intervals)
+    felt = merged_interval_2d(rotated(towards, feeler), silhouettes, intervals)
     if felt[1] - felt[0] >= TWO_PI:
         return edge, gap
     nearest, beyond = _edge(felt, side)
     other, before = _edge(felt, -side)
-    if side * other > 0.0:  # nearest is one on the far side: the wall lies before it
+    if side * other > 0.0:  # the nearest edge is on the far side: the wall is in front of it
         nearest, beyond = other - side * before, before
     if side * nearest < -_LOST:
         return edge, gap
@@ -197,7 +197,7 @@ def _edge(joined, side):
 
 @inner_kernel
 def _affordable(f, plane, account, heading, free, robot, memory):
-    """Velocity along a heading, or zero where the tank would not suffice.
+    """Velocity along a heading, or zero if the stored energy is too low.
 
     ``plane`` is f/‖f‖ and a unit vector across it; ``account`` is D, m/s, and A, m²/s.
     """
@@ -214,14 +214,14 @@ def _affordable(f, plane, account, heading, free, robot, memory):
     memory[SHORT] = 1.0
     if level >= owed:
         return 0.0, 0.0, 0.0
-    # law (4) will drive it: then as little as can be, and away from the wall
+    # law (4) will be executed: choose the slowest motion, away from the wall
     turn = math.copysign(math.acos(margin), dot(aside, heading))
     return combine(speed * math.cos(turn), towards, speed * math.sin(turn), aside)
 
 
 @inner_kernel
 def _inputs(f, account, heading, free, pitch, settings, memory):
-    """Speed and turn rates towards a heading; the robot drives only while its tank suffices."""
+    """Speed and turn rates towards a heading; the robot drives only with enough stored energy."""
     (degree, level), strength = account, norm(f)
     robot, gate, r = settings.robot, settings.robot.gate, settings.robot.merge_radius
     speed = strength * descent_scale(strength, degree, r, gate.duration, robot.speed_limit)
@@ -233,9 +233,9 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
     return speed, rates
 
 
-@register("tank-joined", fits=can_pass_obstacles, kind="tank")
-class TankJoinedPolicy(StatefulPolicy):
-    """Wall following under an energy tank, on alternating sides and ever farther.
+@register("tank-merged", fits=can_pass_obstacles, kind="tank")
+class TankMergedPolicy(StatefulPolicy):
+    """Wall following under an energy tank, on alternating sides with growing distance.
 
     An obstacle that blocks f is passed on one side, along the wall, until f is free. The path may
     lead away from f while the tank suffices. In 3-D the path has one azimuth, the one with the
@@ -243,16 +243,16 @@ class TankJoinedPolicy(StatefulPolicy):
 
     The robot turns back when its tank is low, or when ∫ f·v dt since it reached the wall has
     decreased by more than ``patience``‖f‖. This limit doubles after each turn, so the robot
-    explores both sides with growing distance, in 3-D then those across them. Where the tank would
-    not suffice, the robot rests instead of pressing against a wall.
+    explores both sides with growing distance, in 3-D then those across them. If the stored energy
+    is too low, the robot rests instead of pressing against a wall.
 
     A nonholonomic robot turns towards that direction and drives where its axis is outside all
     silhouettes. While it turns on the spot, the direction is fixed. A fraction of its path counts
-    as lost, which prevents two robots from circling an obstacle for ever. Its tank has no minimum
-    alignment, so it may always rest.
+    as lost, which prevents two robots from circling an obstacle indefinitely. Its tank has no
+    minimum alignment, so it may always rest.
 
-    Each step is booked as commanded, without feedback about contacts or steps shortened by a merge.
-    The stored energy of an absorbed robot is lost.
+    Each step counts as commanded, without feedback about contacts or steps shortened by a merge.
+    The stored energy of a merged robot is lost.
 
     Args:
         scenario: the experiment.

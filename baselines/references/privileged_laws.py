@@ -16,13 +16,13 @@ from ..steering import Steering
 from .enclosing_ball import smallest_enclosing_ball
 
 Array = NDArray[np.float64]
-_ASIDE = 1e-3  # tangent of the angle from its way within which a robot that turns drives
+_ASIDE = 1e-3  # tangent of the angle to its path within which a nonholonomic robot drives
 
 
 class PrivilegedPolicy(TeamPolicy):
     """Base class of oracles, which read positions; nonholonomic robots turn on the spot."""
 
-    name: str  # in the registry
+    name: str  # name in the registry
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
@@ -32,8 +32,9 @@ class PrivilegedPolicy(TeamPolicy):
         self._steps: NDArray[np.int64] = np.zeros(0, np.int64)
 
     def watch(self, simulator: Simulator) -> None:
-        """Take the teams, freshly reset, whose map and positions it may read. A ValueError if it is
-        no simulator of such robots.
+        """Set the simulator, just reset, whose map and positions are read.
+
+        A ValueError for another object, or other robots.
         """
         n, d, model = self.scenario.n_robots, self.scenario.dim, self.scenario.model.name
         wanted = f"a Simulator of {n} {model.replace('_', ' ')}s in {d}-D"
@@ -76,7 +77,7 @@ class PrivilegedPolicy(TeamPolicy):
         self._fresh, self._steps = np.zeros_like(begun), steps
         wanted = self._velocities(simulator, active, begun)
         wanted = np.where(active[..., np.newaxis], wanted, 0.0)
-        # frames lead from local to global, their transpose leads back
+        # frames map local to global vectors, their transpose the reverse
         own = np.sum(simulator.frames * wanted[..., np.newaxis], axis=-2)
         actions = self._steering.actions(own, seen.reshape(*own.shape[:-1], *seen.shape[-2:]))
         if self._steering.turns:

@@ -16,8 +16,8 @@ from .roadmap import Array, PathsTo, Roadmap
 NAME = "privileged-planner"
 _CLEARANCES = tuple(0.5**k for k in range(1, 9))
 """Candidate clearances, in merge radii; the largest feasible one is used."""
-_GRID = {2: 13, 3: 7}  # places along each side of a grid
-_ARRIVED = 1e-5  # of a full step; a turn is reached within what float32 leaves of it
+_GRID = {2: 13, 3: 7}  # points along each side of a grid
+_ARRIVED = 1e-5  # of a full step; tolerance at waypoints, for float32
 
 
 class Meeting(NamedTuple):
@@ -72,7 +72,7 @@ def plan(table: Array, positions: Array, merge_radius: float) -> PathsTo:
 
 
 def _can_plan(scenario: Scenario) -> bool:
-    """True for robots that can be steered among obstacles that stand still."""
+    """True for supported robot models, and obstacles that do not move."""
     return can_steer(scenario) and not moves(scenario.obstacles)
 
 
@@ -92,7 +92,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
         super().watch(simulator)
         self._active = simulator.active
         self._goals: list[PathsTo | None] = [None] * simulator.num_envs
-        self._turns = simulator.positions[:, :, None].copy()  # of each robot's way, (B, n, P, d)
+        self._turns = simulator.positions[:, :, None].copy()  # waypoints of robots, (B, n, P, d)
         self._next = np.zeros(self._active.shape, np.int64)
 
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:

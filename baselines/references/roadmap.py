@@ -20,17 +20,17 @@ from rendezvous_env.obstacles.shape import ABSENT, BOUND, MIDDLE, OWN
 from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, subtract
 
 Array = NDArray[np.float64]
-_QUARTER = 4  # corners that stand for a quarter of a circle
-_ON_A_BALL = 24  # points that stand for a ball
-_APART = 0.4  # rad; half the angle between two of these that are neighbours
+_QUARTER = 4  # corners that approximate a quarter circle
+_ON_A_BALL = 24  # points that approximate a ball
+_APART = 0.4  # rad; half the angle between two adjacent ones
 _SPIKE = 1e3  # longest corner of a pointed obstacle, in clearances
-_KEPT = 0.9  # share of the clearance that a way must keep: corners lie at all of it, up to rounding
+_KEPT = 0.9  # fraction of the clearance to keep on paths: corners are at all of it, up to rounding
 _MOST_SIDES = 16  # polygons with more corners are simplified, by less than half the clearance
 MAX_CORNERS = 4_000
 """Maximum number of corners of a roadmap, since the graph is quadratic: 250 discs or 16-gons."""
 _HALVINGS = 12
 _ROUNDING = 1.0 + 1e-9
-_TOUCH = 1e-7  # m, less than the depth of a contact: so deep a way from the surface may go
+_TOUCH = 1e-7  # m; maximum depth of a path from the surface, less than that of a contact
 
 
 class Roadmap:
@@ -46,8 +46,8 @@ class Roadmap:
         corners = _corners(world, clearance) if dim == 2 else _points_around(table, clearance)
         if len(corners) > MAX_CORNERS:
             raise ValueError(
-                f"the obstacles have {len(corners)} corners; ways are planned among {MAX_CORNERS} "
-                "at most: give fewer obstacles, or polygons of fewer corners"
+                f"the obstacles have {len(corners)} corners; the planner supports at most "
+                f"{MAX_CORNERS}: give fewer obstacles, or polygons with fewer corners"
             )
         self.corners: Array = corners[self._margins(corners) == _KEPT * clearance]  # (C, d), m
         self._lengths = self.straight(self.corners, self.corners)
@@ -80,7 +80,7 @@ class Roadmap:
         lengths = np.full((n + count, n + count), np.inf)
         lengths[:n, n:], lengths[n:, n:] = self.straight(points, self.corners), self._lengths
         rows, columns = np.nonzero(np.isfinite(lengths))
-        # two corners in one place are still joined by an edge
+        # two corners at one point also have an edge
         edges = np.maximum(lengths[rows, columns], np.finfo(float).tiny)
         graph = scipy.sparse.csr_array((edges, (rows, columns)), shape=lengths.shape)
         found, before = dijkstra(graph, indices=range(n), return_predecessors=True)

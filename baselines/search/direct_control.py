@@ -1,4 +1,4 @@
-"""Speeds and turn rates chosen by a network, and what a robot remembers of its own search."""
+"""Speeds and turn rates chosen by a network, and a robot's memory of its search."""
 
 from functools import partial
 from typing import Any
@@ -51,7 +51,7 @@ class SearchMemory(StatefulMixin):
 
 
 class DirectCommands(SafetyFilter):
-    """Speeds and turn rates as they are chosen, without a guarantee.
+    """Filter that passes on chosen speeds and turn rates, without a guarantee.
 
     Args:
         scenario: of unicycles.
@@ -82,9 +82,10 @@ class DirectCommands(SafetyFilter):
         return [partial(command, part, observations, *given, actions)]
 
 
-class DirectTeams:
-    """Speeds and turn rates from a network, for B environments, with the interface of
-    ``GuidedTeams``: show → (a network chooses) → choose → apply.
+class DirectController:
+    """Speeds and turn rates from a network, for B environments.
+
+    The interface is that of ``BaseController``: show → (a network chooses) → choose → apply.
 
     Args:
         commands: choices, (choices, 2): speed and turn rate in units of their limits.
@@ -128,7 +129,7 @@ class DirectTeams:
         which: Mask | None = None,
         elapsed: Array | None = None,
     ) -> Float32:
-        """Features (B, n, size) of environments of a mask (B,), None for all; see GuidedTeams."""
+        """Features (B, n, size) of environments of a mask (B,); see ``BaseController.show``."""
         observations, memory = check_observations(observations, self._seen), self.perception
         teams = np.arange(len(observations))
         if which is not None:
@@ -159,7 +160,7 @@ class DirectTeams:
         self.steering.held[...] = np.clip(given, -1.0, 1.0) * self._limits
 
     def apply(self, observations: Float32, *, elapsed: float | None = None) -> Float32:
-        """Actions (B, n, 2), as ``GuidedTeams.apply``."""
+        """Actions (B, n, 2), as ``BaseController.apply``."""
         return self.steering.apply(observations, elapsed=elapsed)
 
     def apply_calls(
@@ -179,7 +180,7 @@ class DirectTeams:
 
 
 def check_searches(scenario: Scenario) -> None:
-    """Raise a ValueError for robots that have no speed and turn rate."""
+    """Raise a ValueError for robots other than unicycles."""
     if scenario.robot_model != "unicycle":
         raise ValueError(
             f"scenario {scenario.name!r} has {scenario.model.name} robots; a network without a "

@@ -1,4 +1,4 @@
-"""Kernels of the memory of a searching unicycle, which it dead-reckons by its own commands.
+"""Kernels for the memory of a searching unicycle, dead-reckoned by its own commands.
 
 Lengths are in units of the merge radius r, times in units of r/v_max, directions in the body frame.
 """

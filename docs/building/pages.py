@@ -87,7 +87,11 @@ def data() -> str:
     parts.append("## Scenarios as files\n")
     for name in SHOWN_AS_FILES:
         parts += [f"`rv.scenarios.get({name!r}).to_toml(…)` writes\n", _toml(name)]
-    episodes = {"scenario": "its name", "policy": "its name", "start": "k; its seed is SEED + k"}
+    episodes = {
+        "scenario": "its name",
+        "policy": "its name",
+        "initial_condition": "k; its seed is SEED + k",
+    }
     episodes |= documents(Episodes)
     parts += [
         "## `results.csv`\n",

@@ -15,7 +15,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from ..deprecation import renamed_attribute
-from .torchrl import GROUP, RendezvousEnv
+from .torchrl import GROUP, RendezvousTorchRLEnv
 
 __all__ = ["Evaluation", "HeldOut", "RendezvousTask"]
 
@@ -31,7 +31,7 @@ class RendezvousTask(TaskClass):
 
     Args:
         name: name of the scenario, or of the task if the config has the key "scenario".
-        config: arguments of ``adapters.torchrl.RendezvousEnv``. ValueError for arguments set by
+        config: arguments of ``RendezvousTorchRLEnv``. ValueError for arguments set by
             BenchMARL: num_envs, discrete, seed and device.
     """
 
@@ -39,13 +39,15 @@ class RendezvousTask(TaskClass):
         if decided := {"num_envs", "discrete", "seed", "device"} & set(config or ()):
             raise ValueError(
                 f"config has {sorted(decided)[0]!r}, which the ExperimentConfig and the algorithm "
-                "decide; leave it out"
+                "set; omit it"
             )
         super().__init__(name, config)
 
-    def make(self, num_envs: int, **decided: Any) -> RendezvousEnv:
+    def make(self, num_envs: int, **decided: Any) -> RendezvousTorchRLEnv:
         """Create the environment with the arguments set by BenchMARL or an evaluation."""
-        return RendezvousEnv(**{"scenario": self.name, **self.config}, num_envs=num_envs, **decided)
+        return RendezvousTorchRLEnv(
+            **{"scenario": self.name, **self.config}, num_envs=num_envs, **decided
+        )
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
@@ -153,9 +155,7 @@ class HeldOut(Callback):
         self.experiment.test_env.set_seed(self.seed)
 
     def on_evaluation_end(self, rollouts: Sequence[TensorDictBase]) -> None:
-        """Store and log the first episode of each environment, then restore the initial
-        conditions.
-        """
+        """Log the first episode of each environment; restore the initial conditions."""
         experiment = self.experiment
         period = experiment.test_env.seconds_per_step
         times, free = zip(*(_meeting(each, period) for each in rollouts), strict=True)

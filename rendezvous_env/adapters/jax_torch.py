@@ -82,7 +82,7 @@ class JaxTorchVectorEnv(VectorEnv[torch.Tensor, torch.Tensor, Any]):
             ValueError: for an invalid seed, or options, which the JAX form does not have.
         """
         if options:
-            raise_invalid("options", options, "None, as the JAX form has no options of resets")
+            raise_invalid("options", options, "None, since the JAX form has no reset options")
         if seed is None:
             seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> np.uint64(1))
         observations, self.state = self.functions.reset(seed)

@@ -27,7 +27,7 @@ def make(
     *,
     buf: Any = None,
     seed: int | None = None,
-    wrap: Callable[[Any], Any] = lambda teams: teams,
+    wrap: Callable[[Any], Any] = lambda vector_env: vector_env,
     **arguments: Any,
 ) -> RobotPufferEnv:
     """Create robots of ``vector.training_env`` as agents, for ``pufferlib.vector.make``.
@@ -54,7 +54,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
     those of ``Simulator``, (agents,) bool each.
 
     Args:
-        teams: a vector environment with SAME_STEP autoreset and ``on_merge="follow"``, such as
+        vector_env: a vector environment with SAME_STEP autoreset and ``on_merge="follow"``, such as
             ``rendezvous_env.vector.training_env`` returns; a ValueError otherwise.
         buf: buffers of a vectorisation to write into; None allocates them.
         seed: s, overridden by the seed of ``reset``; None continues with the next episodes.
@@ -62,14 +62,15 @@ class RobotPufferEnv(pufferlib.PufferEnv):
             so all environments have distinct seeds.
     """
 
+    @renamed_arguments(teams="vector_env")
     def __init__(
-        self, teams: VectorEnv[Any, Any, Any], buf: Any = None, seed: int | None = None
+        self, vector_env: VectorEnv[Any, Any, Any], buf: Any = None, seed: int | None = None
     ) -> None:
-        self.slots = RobotSlots(teams, values_ends=False)
+        self.slots = RobotSlots(vector_env, values_ends=False)
         follows = self.slots.simulator.scenario.on_merge
         if follows != "follow":
             raise ValueError(
-                f"on_merge is {follows!r}; agents that live as long as their team need 'follow'"
+                f"on_merge is {follows!r}; agents that last until the end need 'follow'"
             )
         self._seed, self.simulator = seed, self.slots.simulator
         self.num_agents = self.slots.active.size
@@ -82,7 +83,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
     def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
         """Start a new episode in all environments; returns observations and empty infos."""
         given, self._seed = self._seed if seed is None else seed, None
-        first = None if given is None else given * self.slots.num_teams
+        first = None if given is None else given * self.slots.batch_size
         self.observations[:] = self.slots.reset(first)
         self.rewards[:], self.terminals[:], self.truncations[:] = 0.0, False, False
         self.masks[:] = True

@@ -13,7 +13,7 @@ from gymnasium.wrappers.vector import NormalizeReward
 from numpy.typing import NDArray
 
 from ..envs.guarantee import layers_of
-from ..envs.training import TrainingTeams
+from ..envs.training import TrainingVectorEnv
 from ..envs.vector_env import RendezvousVectorEnv, Transition
 from ..envs.vector_wrappers import GuaranteeWrapper
 
@@ -31,15 +31,15 @@ class RewardShaping:
 
     The last row uses a factor if different rewards are multiplied by the same number. A wrapper
     that changes ``infos["robot_rewards"]`` itself takes precedence. A wrapper that scales the
-    environments by different factors should do so. With ``on_merge="remove"`` inactive robots earn
-    nothing. A recorder is inserted beneath each external wrapper to detect its changes. A wrapper
-    that changes observations must also change ``infos["final_obs"]``.
+    environments by different factors should do so. With ``on_merge="remove"`` inactive robots
+    receive reward 0. A recorder is inserted beneath each external wrapper to detect its changes. A
+    wrapper that changes observations must also change ``infos["final_obs"]``.
     """
 
-    def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
+    def __init__(self, vector_env: VectorEnv[Any, Any, Any]) -> None:
         self._top: _Changes | None = None
         above: Any = None
-        for layer in [*layers_of(teams)]:
+        for layer in [*layers_of(vector_env)]:
             if not isinstance(layer, _OURS) and hasattr(layer, "env"):
                 if type(layer.env) is not _Recorder:
                     layer.env = _Recorder(layer.env)
@@ -74,8 +74,8 @@ class _Given(NamedTuple):
     rewards: NDArray[np.float64]  # (B,)
     robot_rewards: NDArray[np.float64]  # (B, n)
     acted: NDArray[np.bool_]  # (B, n)
-    observations: NDArray[np.float32] | None  # (B, n, ...), if teams ended in it
-    final: list[NDArray[np.float32]]  # (n, ...) each, of those that did
+    observations: NDArray[np.float32] | None  # (B, n, ...), if episodes ended in it
+    final: list[NDArray[np.float32]]  # (n, ...) each, of the episodes that ended
 
 
 class _Recorder(VectorWrapper):
@@ -166,7 +166,8 @@ class _Changes:
             before.any() for before in below.final
         ):
             raise TypeError(
-                f"environments are under {type(self._layer).__name__}, which changes observations "
+                f"environments are wrapped in {type(self._layer).__name__}, which changes "
+                "observations "
                 "but not infos['final_obs'], the last ones of episodes, by which time-outs are "
                 "valued; it must change both alike"
             )
@@ -212,4 +213,4 @@ def _twin(layer: Any) -> Any:
     return twin
 
 
-_OURS = (RendezvousVectorEnv, GuaranteeWrapper, TrainingTeams, _Recorder)
+_OURS = (RendezvousVectorEnv, GuaranteeWrapper, TrainingVectorEnv, _Recorder)

@@ -37,13 +37,13 @@ ENVIRONMENT = "rendezvous"
 """RLlib's name for ``rendezvous_env.vector.training_env``."""
 
 
-def _teams(settings: Mapping[str, Any]) -> Any:
-    arguments = {"wrap": lambda teams: teams, **settings}
+def _create(settings: Mapping[str, Any]) -> Any:
+    arguments = {"wrap": lambda vector_env: vector_env, **settings}
     wrap = arguments.pop("wrap")
     return wrap(training_env(**arguments))
 
 
-register_env(ENVIRONMENT, _teams)
+register_env(ENVIRONMENT, _create)
 
 
 @renamed_arguments(num_teams="num_envs")
@@ -107,11 +107,11 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         creator, settings = self.config.env, dict(self.config.env_config)
         if isinstance(creator, str):
             creator = _global_registry.get(ENV_CREATOR, creator)
-        teams: VectorEnv[Any, Any, Any] = creator(
+        vector_env: VectorEnv[Any, Any, Any] = creator(
             settings | {"num_envs": self.config.num_envs_per_env_runner}
         )
-        self.env = RobotSlots(teams)
-        self.num_envs = self.env.num_teams
+        self.env = RobotSlots(vector_env)
+        self.num_envs = self.env.batch_size
         self._needs_initial_reset = True
 
     def get_spaces(self) -> Mapping[str, Any]:

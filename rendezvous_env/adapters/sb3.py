@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from ..checks import check_int, check_shape, counted, floats, mapping
-from ..deprecation import renamed_arguments
+from ..deprecation import renamed_arguments, renamed_attribute
 from ..engine.state_checks import check_entries, check_keys, refuse_first
 from ..envs.guarantee import component_mask, layers_of
 from ..envs.gymnasium_env import make_vec
@@ -67,8 +67,8 @@ class RobotVecEnv(VecEnv):
     that rejects its options starts nothing and discards them; seeds stay for the next one.
 
     Args:
-        teams: as of ``RobotSlots``. A wrapper that changes team rewards also changes robot rewards,
-            see ``RewardShaping``.
+        vector_env: as of ``RobotSlots``. A wrapper that changes team rewards also changes robot
+            rewards, see ``RewardShaping``.
     """
 
     acted: NDArray[np.bool_]
@@ -81,24 +81,27 @@ class RobotVecEnv(VecEnv):
     tell_bootstraps = True
     """True if infos contain ``terminal_observation`` and ``TimeLimit.truncated``."""
 
-    def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
-        self.slots = slots = RobotSlots(teams)
-        self.teams, self.n_robots = slots.teams, slots.n_robots
+    teams = renamed_attribute("teams", "vector_env")
+
+    @renamed_arguments(teams="vector_env")
+    def __init__(self, vector_env: VectorEnv[Any, Any, Any]) -> None:
+        self.slots = slots = RobotSlots(vector_env)
+        self.vector_env, self.n_robots = slots.vector_env, slots.n_robots
         self.simulator = slots.simulator
         self._started = time.time()
-        self._told = np.zeros(slots.num_teams, dtype=np.int64)
+        self._told = np.zeros(slots.batch_size, dtype=np.int64)
         self._forget_step()
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space
         )
-        self.metadata["render_fps"] = self.teams.metadata["render_fps"]
+        self.metadata["render_fps"] = self.vector_env.metadata["render_fps"]
 
     @property
     def action_mask(self) -> NDArray[np.bool_]:
         """True for action components of each slot that its robot has, (slots, a)."""
-        mask, width = component_mask(self.teams), self.action_space.shape or (1,)
+        mask, width = component_mask(self.vector_env), self.action_space.shape or (1,)
         mask = np.ones((self.n_robots, *width), np.bool_) if mask is None else mask
-        return np.tile(mask, (self.slots.num_teams, 1))
+        return np.tile(mask, (self.slots.batch_size, 1))
 
     def reset(self) -> NDArray[np.float32]:
         """Start a new episode in all environments; returns observations (slots, rows, d)."""
@@ -132,9 +135,7 @@ class RobotVecEnv(VecEnv):
         self._actions = given if is_box else np.asarray(actions)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Advance every environment; returns observations, rewards, dones and infos of the
-        slots.
-        """
+        """Advance all environments; returns observations, rewards, dones and infos."""
         step = self.slots.step(self._actions)
         self.acted, self.ended, self.costs = step.acted, step.ended, step.costs
         self.bootstrapped, self.survivors = step.bootstrapped, step.survivors
@@ -205,7 +206,7 @@ class RobotVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8]]:
         """Image of each environment, with ``render_mode="rgb_array"``."""
-        return list(self.teams.render() or ())
+        return list(self.vector_env.render() or ())
 
     def get_state(self) -> dict[str, Any]:
         """Copy of the running episodes: nested arrays."""
@@ -238,12 +239,10 @@ class RobotVecEnv(VecEnv):
         return [value] * len(slots)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute on the object that has it, for all slots; a subset of slots is
-        rejected.
-        """
+        """Set an attribute on the object that has it; a subset of slots is rejected."""
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(f"set_attr: all slots share {attr_name!r}; leave indices out")
-        setattr(self._owner(attr_name, self.teams), attr_name, value)
+        setattr(self._owner(attr_name, self.vector_env), attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
@@ -255,7 +254,7 @@ class RobotVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
         """True if this class wraps the environment, for each slot; True for ``Monitor``."""
-        layers = layers_of(self.teams)
+        layers = layers_of(self.vector_env)
         wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
         return [wrapped] * len(self._get_indices(indices))
 
@@ -266,7 +265,7 @@ class RobotVecEnv(VecEnv):
         return [check_int("indices", slot, 0, self.num_envs - 1) for slot in listed]
 
     def _owner(self, name: str, default: Any = None) -> Any:
-        layers = *layers_of(self.teams), self.simulator
+        layers = *layers_of(self.vector_env), self.simulator
         owner = next((layer for layer in layers if hasattr(layer, name)), default)
         if owner is None:
             raise AttributeError(f"neither the environments nor their simulator have {name!r}")

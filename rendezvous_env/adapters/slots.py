@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from ..checks import check_shape, floats
+from ..deprecation import renamed_arguments, renamed_attribute
 from ..engine.state_checks import (
     check_entries,
     check_finite,
@@ -36,16 +37,16 @@ _COUNTED = {told: kept for kept, told in _TOLD.items()}
 class SlotStep(NamedTuple):
     """Step of B·n slots."""
 
-    observations: NDArray[np.float32]  # (slots, ...), for the next actions; zeros if gone
+    observations: NDArray[np.float32]  # (slots, ...), for the next actions; zeros if inactive
     rewards: NDArray[np.float32]  # (slots,), of the robots
     acted: NDArray[np.bool_]  # (slots,), whose robot took part in the step
-    ended: NDArray[np.bool_]  # (slots,), whose episode it ended; all slots of a team that is over
+    ended: NDArray[np.bool_]  # (slots,), whose episode ended; all slots of an ended environment
     bootstrapped: NDArray[np.int64]  # (k,), slots that the step cut off: time-out or merge
-    survivors: NDArray[np.int64]  # (k,), the slots that these are now part of, or their own
-    bootstrap_observations: NDArray[np.float32]  # (k, ...), by which their future is valued
-    last: NDArray[np.float32]  # (B, n, ...), at the end of the step, before any team was reset
-    met: NDArray[np.bool_]  # (B,), teams whose episode ended with a rendezvous
-    late: NDArray[np.bool_]  # (B,), teams whose episode ended at the time limit
+    survivors: NDArray[np.int64]  # (k,), the slots they merged into, or their own
+    bootstrap_observations: NDArray[np.float32]  # (k, ...), from which to bootstrap
+    last: NDArray[np.float32]  # (B, n, ...), at the end of the step, before any reset
+    met: NDArray[np.bool_]  # (B,), environments whose episode ended with a rendezvous
+    late: NDArray[np.bool_]  # (B,), environments whose episode ended at the time limit
     finished: dict[int, dict[str, Any]]
     """Results of each ended environment: "return" (sum of team rewards), "length" (steps) and
     STANDING. With ``Scenario.costs`` also "cost", the sum over its robots."""
@@ -59,10 +60,10 @@ class RobotSlots:
     An environment is reset in the step in which it ends. Rendezvous is a termination; a time-out
     and a merge are truncations. At a time-out a slot is bootstrapped from its own last observation,
     at a merge from its survivor's, so an early merge is not penalised. With action repeat this
-    requires ``on_merge="follow"``: otherwise the robot earns nothing in the remaining steps.
+    requires ``on_merge="follow"``: otherwise the robot receives reward 0 in the remaining steps.
 
     Args:
-        teams: a vector environment with SAME_STEP autoreset, wrapped or not; a ValueError for
+        vector_env: a vector environment with SAME_STEP autoreset, wrapped or not; a ValueError for
             another mode, a TypeError for another type. A custom wrapper that changes observations
             must change ``infos["final_obs"]`` alike. Otherwise the step in which an episode ends
             raises TypeError.
@@ -74,29 +75,34 @@ class RobotSlots:
     observation_space = batched_space("single_observation_space")  # of all slots, for RLlib
     action_space = batched_space("single_action_space")
 
-    def __init__(self, teams: VectorEnv[Any, Any, Any], *, values_ends: bool = True) -> None:
-        if not (isinstance(teams, VectorEnv) and hasattr(teams.unwrapped, "simulator")):
-            kind, made = type(teams).__name__, "rendezvous_env.vector.training_env makes one"
-            raise TypeError(f"teams is of type {kind}; it must be a vector environment, {made}")
-        mode = teams.metadata.get("autoreset_mode")
+    teams = renamed_attribute("teams", "vector_env")
+    num_teams = renamed_attribute("num_teams", "batch_size")
+
+    @renamed_arguments(teams="vector_env")
+    def __init__(self, vector_env: VectorEnv[Any, Any, Any], *, values_ends: bool = True) -> None:
+        if not (isinstance(vector_env, VectorEnv) and hasattr(vector_env.unwrapped, "simulator")):
+            kind, made = type(vector_env).__name__, "rendezvous_env.vector.training_env makes one"
+            raise TypeError(f"vector_env is a {kind}; it must be a vector environment, {made}")
+        mode = vector_env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
-        self._shaping, self._values_ends = RewardShaping(teams), values_ends
-        self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
-        base: Any = teams.unwrapped
+        self._shaping, self._values_ends = RewardShaping(vector_env), values_ends
+        self.vector_env: Any = vector_env  # wrapped or not; Any, since Gymnasium has no states
+        base: Any = vector_env.unwrapped
         self.simulator: Simulator = base.simulator
-        spaces: tuple[Any, ...] = teams.single_observation_space, teams.single_action_space
+        given: Any = vector_env
+        spaces = given.single_observation_space, given.single_action_space
         self.single_observation_space, self.single_action_space = map(of_one_robot, spaces)
-        self.num_teams, self.n_robots = teams.num_envs, int(spaces[0].shape[0])
-        self._acting: tuple[int, ...] = (teams.num_envs, *spaces[1].shape)
-        self.num_envs = self.num_teams * self.n_robots
-        self.active = np.zeros((self.num_teams, self.n_robots), dtype=np.bool_)
+        self.batch_size, self.n_robots = vector_env.num_envs, int(spaces[0].shape[0])
+        self._acting: tuple[int, ...] = (vector_env.num_envs, *spaces[1].shape)
+        self.num_envs = self.batch_size * self.n_robots
+        self.active = np.zeros((self.batch_size, self.n_robots), dtype=np.bool_)
         self._counts: dict[str, NDArray[Any]] = {
-            "returns": np.zeros(self.num_teams),
-            "lengths": np.zeros(self.num_teams, dtype=np.int64),
+            "returns": np.zeros(self.batch_size),
+            "lengths": np.zeros(self.batch_size, dtype=np.int64),
         }
         for key in self.simulator.costs:
-            self._counts[_COUNTED.get(key, key)] = np.zeros(self.num_teams)
+            self._counts[_COUNTED.get(key, key)] = np.zeros(self.batch_size)
 
     def reset(
         self,
@@ -107,15 +113,15 @@ class RobotSlots:
 
         Arguments are those of the vector environment. Returns observations (slots, ...).
         """
-        mask = (given := as_options(options)).get("reset_mask")  # some wrappers take it out
-        observations, infos = self.teams.reset(seed=seeds, options=given)
-        self.begin(np.ones(self.num_teams, np.bool_) if mask is None else mask)
+        mask = (given := as_options(options)).get("reset_mask")  # some wrappers remove it
+        observations, infos = self.vector_env.reset(seed=seeds, options=given)
+        self.begin(np.ones(self.batch_size, np.bool_) if mask is None else mask)
         self.active = infos["active"].copy()
         return self.by_slot(observations)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """Register new episodes, (B,), that were started by other means."""
-        which = check_mask(which, self.num_teams)
+        which = check_mask(which, self.batch_size)
         self.active[which] = True
         for count in self._counts.values():
             count[which] = 0
@@ -128,7 +134,7 @@ class RobotSlots:
         given = actions if isinstance(actions, np.ndarray) else floats("actions", actions)
         by_slot = self.num_envs, *self._acting[2:]
         check_shape("actions", given, by_slot, self._acting)
-        observations, rewards, met, late, infos = self.teams.step(given.reshape(self._acting))
+        observations, rewards, met, late, infos = self.vector_env.step(given.reshape(self._acting))
         over, last = met | late, observations
         if over.any():
             if self._values_ends:
@@ -191,7 +197,7 @@ class RobotSlots:
     @property
     def _stateful(self) -> Any:
         """Outermost layer with a state; Gymnasium's wrappers have none."""
-        return next(layer for layer in layers_of(self.teams) if hasattr(layer, "get_state"))
+        return next(layer for layer in layers_of(self.vector_env) if hasattr(layer, "get_state"))
 
     def get_state(self) -> dict[str, Any]:
         """Copy of the running episodes: nested arrays."""
@@ -209,7 +215,7 @@ class RobotSlots:
 
     def close(self) -> None:
         """Close the vector environment."""
-        self.teams.close()
+        self.vector_env.close()
 
 
 def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, Any]:
@@ -244,5 +250,5 @@ def team_options(options: Sequence[Mapping[str, Any]], dim: int) -> dict[str, An
                 f"set_options: all environments need the same keys and obstacles; one has {first}, "
                 f"another {other}"
             )
-    own_of_each = {*OPTIONS} - {"obstacles"}  # keys that are not ours are ignored, or meant
+    own_of_each = {*OPTIONS} - {"obstacles"}  # other keys are ignored, or intended
     return {key: stacked(key) if key in own_of_each else first[key] for key in first}

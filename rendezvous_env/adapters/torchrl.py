@@ -14,6 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from ..deprecation import renamed_attribute, warn_renamed
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..envs.agents import names_of
 from ..scenario.start_options import seeds_of_environments
@@ -24,13 +25,13 @@ from .reward_shaping import RewardShaping
 if TYPE_CHECKING:
     from ..scenario.scenarios import ScenarioLike
 
-__all__ = ["GROUP", "RendezvousEnv"]
+__all__ = ["GROUP", "RendezvousTorchRLEnv"]
 
 GROUP = "robots"
 """Agent group of all robots."""
 
 
-class RendezvousEnv(EnvBase):
+class RendezvousTorchRLEnv(EnvBase):
     """B environments of ``vector.training_env`` as a TorchRL environment, batch size (B,).
 
     | key | shape | |
@@ -60,11 +61,13 @@ class RendezvousEnv(EnvBase):
         num_envs: B, number of environments.
         return_state: whether to return the global state, for centralised critics.
         seed: as ``set_seed``.
-        wrap: ``wrap(teams) -> teams``, applies a custom ``VectorWrapper``, for example one that
-            changes rewards.
+        wrap: ``wrap(vector_env) -> vector_env``, applies a custom ``VectorWrapper``, for example
+            one that changes rewards.
         device: of all tensors; None keeps them on the CPU, where they are computed, without copies.
         **arguments: of ``vector.training_env``, except ``autoreset_mode``; errors are the same.
     """
+
+    teams = renamed_attribute("teams", "vector_env")
 
     def __init__(
         self,
@@ -73,14 +76,14 @@ class RendezvousEnv(EnvBase):
         *,
         return_state: bool = False,
         seed: int | None = None,
-        wrap: Callable[[Any], Any] = lambda teams: teams,
+        wrap: Callable[[Any], Any] = lambda vector_env: vector_env,
         device: torch.device | str | None = None,
         **arguments: Any,
     ) -> None:
         mode = AutoresetMode.DISABLED
-        self.teams: Any = training_env(scenario, num_envs, autoreset_mode=mode, **arguments)
-        self.simulator: Simulator = self.teams.simulator
-        self._wrapped = wrap(self.teams)
+        self.vector_env: Any = training_env(scenario, num_envs, autoreset_mode=mode, **arguments)
+        self.simulator: Simulator = self.vector_env.simulator
+        self._wrapped = wrap(self.vector_env)
         self._shaping = RewardShaping(self._wrapped)
         super().__init__(device=device, batch_size=(num_envs,))
         self._gives_state = return_state
@@ -101,7 +104,7 @@ class RendezvousEnv(EnvBase):
 
     @property
     def _base_steps(self) -> int:
-        return int(getattr(self.teams.env, "decision_period", 1))
+        return int(getattr(self.vector_env.env, "decision_period", 1))
 
     def _make_specs(self) -> None:
         batch, n = self.batch_size, len(self.group_map[GROUP])
@@ -114,9 +117,9 @@ class RendezvousEnv(EnvBase):
         def unbounded(space: Space[Any]) -> Unbounded:
             return Unbounded(torch.Size((*batch, *(space.shape or ()))))
 
-        self.action_spec = of_group(action=_action_spec(self.teams.single_action_space, batch))
+        self.action_spec = of_group(action=_action_spec(self.vector_env.single_action_space, batch))
         self.observation_spec = of_group(
-            observation=unbounded(self.teams.single_observation_space),
+            observation=unbounded(self.vector_env.single_observation_space),
             active=Categorical(2, shape=one, dtype=torch.bool),
         )
         specs: dict[str, Any] = {key: Unbounded(one) for key in self.simulator.costs}
@@ -126,7 +129,7 @@ class RendezvousEnv(EnvBase):
             self.observation_spec[GROUP, "info"] = Composite(specs, shape=robots)
         self.observation_spec["contacts"] = Unbounded(done.shape, dtype=torch.int64)
         if self._gives_state:
-            state = self.teams.unwrapped.single_state_space
+            state = self.vector_env.unwrapped.single_state_space
             self.observation_spec["state"] = unbounded(state)
         self.reward_spec = of_group(reward=Unbounded(one))
         self.done_spec = Composite(
@@ -134,8 +137,8 @@ class RendezvousEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        teams = self.batch_size[0]
-        self._seeds = seeds_of_environments(seed, teams) or [None] * teams
+        count = self.batch_size[0]
+        self._seeds = seeds_of_environments(seed, count) or [None] * count
 
     def _reset(
         self,
@@ -184,16 +187,16 @@ class RendezvousEnv(EnvBase):
             GROUP: TensorDict(robots, batch_size=active.shape, device=self.device)
         }
         contacts = infos["contacts"]
-        of_teams = {"done": met | cut, "terminated": met, "truncated": cut, "contacts": contacts}
-        for key, values in of_teams.items():
+        of_envs = {"done": met | cut, "terminated": met, "truncated": cut, "contacts": contacts}
+        for key, values in of_envs.items():
             given[key] = torch.from_numpy(values[:, None])
         if self._gives_state:
-            given["state"] = torch.from_numpy(self.teams.state())
+            given["state"] = torch.from_numpy(self.vector_env.state())
         return TensorDict(given, batch_size=self.batch_size, device=self.device)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Close the vector environment."""
-        self.teams.close()
+        self.vector_env.close()
         super().close(raise_if_closed=raise_if_closed)
 
 
@@ -204,3 +207,11 @@ def _action_spec(space: Space[Any], batch: torch.Size) -> Bounded | Categorical:
     assert isinstance(space, Box)
     low, high = (torch.from_numpy(bound.copy()) for bound in (space.low, space.high))
     return Bounded(low.expand(*batch, *low.shape), high.expand(*batch, *high.shape))
+
+
+def __getattr__(name: str) -> Any:
+    """Former names."""
+    if name == "RendezvousEnv":
+        warn_renamed(f"{__name__}.{name}", "RendezvousTorchRLEnv")
+        return RendezvousTorchRLEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

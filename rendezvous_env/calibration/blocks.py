@@ -1,4 +1,4 @@
-"""Block bootstrap: blocks of one observer and a span of time are drawn with replacement."""
+"""Block bootstrap: blocks of one observer and a time span are sampled with replacement."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from .log import Floats, Ints
 
 CONFIDENCE = 0.99
-"""Of the intervals, since a dozen parameters are read at once."""
+"""Confidence level of intervals, high because a dozen parameters are estimated."""
 DRAWS = 120
 _WIDER = 1.15
-"""By which the spread of replicates is multiplied: blocks are not quite independent."""
+"""Factor on the spread of replicates, since blocks are not fully independent."""
 _SPANS, _LONGEST, _SHORTEST = 40, 60.0, 4.0
 """Spans of time in a log, and their longest and shortest length, s."""
 

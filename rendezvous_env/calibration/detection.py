@@ -15,12 +15,12 @@ from .log import Floats, Mask
 EDGES = (0.0, 0.3, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)
 """Edges of the bins of distance, m; longer ones follow by a factor of 1.3."""
 _LEAST = 60
-"""Opportunities that a bin needs; narrower ones are joined."""
+"""Minimum number of opportunities of a bin; smaller bins are merged."""
 _FLOOR = 0.003
 """Least probability of detection in likelihoods, so that single errors of truth do not decide."""
 _ROUNDS = 3
 _RUN = 3.0
-"""Detections in a row that count as one, for the end of the blind zone."""
+"""Consecutive detections that count as one, for the end of the blind zone."""
 
 
 class Binned(NamedTuple):
@@ -113,7 +113,7 @@ def _first_field(chances: Chances) -> float:
 
 
 def _joined(values: Floats, edges: Floats) -> Floats:
-    """Edges of bins that have opportunities enough."""
+    """Edges of bins with enough opportunities."""
     counts, _ = np.histogram(values, edges)
     kept, total = [float(edges[0])], 0
     for count, edge in zip(counts, edges[1:], strict=True):
@@ -166,7 +166,7 @@ def _table_estimates(
         own = block[hats[:, k] > 0.25]
         half = half_width(found[:, k], len(np.unique(own)))
         count = max(float(hats[:, k].sum()) / _RUN, 1.0)
-        least = 5.3 / count if value < 0.02 or value > 0.98 else 0.0  # of a share of 0 or 1
+        least = 5.3 / count if value < 0.02 or value > 0.98 else 0.0  # for a fraction of 0 or 1
         out.append(Estimate.around(float(value), max(half, least), 0.0, 1.0))
     return out
 
@@ -186,7 +186,7 @@ def _likelihoods(chances: Chances, p: Floats, halves: Floats, falloffs: Floats) 
 def _edge_rows(
     chances: Chances, nodes: Floats, values: Floats, blind: float, low: float, high: float = 4.0
 ) -> tuple[Chances, Floats]:
-    """Opportunities at angles that tell about the edge, and their probability within the field."""
+    """Opportunities near the edge, and their probability within the field."""
     angle = np.abs(chances.bearing)
     rows = (chances.distance >= blind) & (angle >= low) & (angle <= high)
     found = chances.some(rows)
@@ -269,7 +269,7 @@ def _field_estimates(
 
 
 def _blind_zone(chances: Chances) -> Estimate:
-    """Distance below which nothing is detected, m; 0 if too little was near enough."""
+    """Distance below which nothing is detected, m; 0 without enough near opportunities."""
     seen = np.sort(chances.distance[chances.sure])
     if len(seen) < 40:
         return Estimate(0.0, 0.0, 0.0)
@@ -285,7 +285,7 @@ def _blind_zone(chances: Chances) -> Estimate:
     return Estimate(max(edge - _RUN * spacing, 0.0), max(low, 0.0), edge + spacing)
 
 
-class Memory(NamedTuple):
+class DetectionMemory(NamedTuple):
     """Detection in successive frames."""
 
     persistence: Estimate  # s; 0 is independent
@@ -296,7 +296,7 @@ class Memory(NamedTuple):
     runs_missed: list[int]
 
 
-def find_memory(chances: Chances, view: View, blocks: Blocks) -> Memory:
+def find_memory(chances: Chances, view: View, blocks: Blocks) -> DetectionMemory:
     """Time constant of detection, by maximum likelihood of successive opportunities in view."""
     inner = np.abs(chances.bearing) <= view.half_field.value - view.falloff.value
     inner &= chances.distance >= view.min_range.value
@@ -310,7 +310,7 @@ def find_memory(chances: Chances, view: View, blocks: Blocks) -> Memory:
     after = float(b[~a].mean()) if (~a).any() else math.nan
     step = float(np.median(gap)) if len(gap) else 0.0
     runs = _runs(rows)
-    none = Memory(Estimate(0.0, 0.0, 0.5 * step), again, after, step, *runs)
+    none = DetectionMemory(Estimate(0.0, 0.0, 0.5 * step), again, after, step, *runs)
     varies = (view.probability(rows) < 0.98).mean() > 0.02 if len(p) else False
     if len(second) < 100 or not varies:
         return none

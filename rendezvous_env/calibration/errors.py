@@ -156,7 +156,7 @@ def _lowest(x: Floats, y: Floats) -> float:
 
 
 def most_likely(times: Floats, gain: Floats, block: Ints, blocks: Blocks) -> Estimate | None:
-    """Time constant of the largest likelihood, s; None if it explains no more than none does.
+    """Time constant of maximum likelihood, s; None if it is not significant.
 
     ``gain`` are log-likelihood ratios to independence, (N, len(times)), of entries in blocks (N,).
     """
@@ -244,7 +244,7 @@ def _components(y: Floats, v: Floats, g: Ints) -> tuple[Estimate, Estimate]:
 
 
 def core_rows(error: Floats, scale: Floats) -> Mask:
-    """Rows that are not far outside of the bulk."""
+    """Rows that are not far outside the bulk."""
     return np.abs(error) < _CORE * scale
 
 

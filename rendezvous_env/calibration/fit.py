@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .blocks import CONFIDENCE, DRAWS, Blocks
-from .detection import Memory, View, find_memory, find_view
+from .detection import DetectionMemory, View, find_memory, find_view
 from .errors import (
     Constant,
     Correlation,
@@ -33,8 +33,8 @@ from .log import Floats, SensorLog
 from .tables import LogError
 
 _LEAST_ROWS = 50
-_CLOCKS = 0.5  # s, delay from which clocks are said to differ
-_FLAT = 0.01  # relative change of the spread below which a delay is not seen
+_CLOCKS = 0.5  # s, delay from which a difference of clocks is reported
+_FLAT = 0.01  # relative change of the spread below which a delay is not significant
 _RAREST = 1e-6  # rate of outliers that is not distinguished from none
 _FINEST = 1e-3  # rad, least scale of errors that may be outliers
 _ZERO = Estimate(0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ class Estimates(NamedTuple):
     correlation: Correlation
     chances: Chances
     view: View
-    memory: Memory
+    memory: DetectionMemory
     sample_period: Estimate
     notes: tuple[str, ...]
 
@@ -115,13 +115,13 @@ def _delay(scan: DelayScan | None) -> tuple[float, tuple[str, ...]]:
         return 0.0, ()
     flat = scan.spread.max() - scan.spread.min() < _FLAT * scan.spread.min()
     if flat:
-        return 0.0, ("errors hardly depend on an assumed delay; it is taken as 0",)
+        return 0.0, ("errors hardly depend on an assumed delay; it is set to 0",)
     delay = scan.best.value
     if abs(delay) > _CLOCKS:
         word = "late" if delay > 0 else "early"
         return delay, (
             f"bearings are {abs(delay):.2f} s {word} against the poses: the clocks may differ; "
-            f"correct them with --clock-offset {-delay:.2f}, or take it as the sensor's delay",
+            f"correct them with --clock-offset {-delay:.2f}, or use it as the sensor's delay",
         )
     return delay, ()
 

@@ -1,4 +1,4 @@
-"""Frames of a sensor: rows of one time, the clock of samples, and what could have been detected."""
+"""Frames of a sensor: rows of one time, the sample clock, and opportunities for detection."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SINGLE = 1.7
 _STEADY = 0.6
 """Largest spread of the phase of a regular clock, in periods."""
 _WINDOW = 400
-"""Frames in which a clock is looked for."""
+"""Number of frames in which a clock is searched."""
 _HELD = 0.2
 """Share of repeated frames from which rows count as held between samples."""
 
@@ -81,7 +81,7 @@ def _cluster_fresh(log: SensorLog) -> tuple[SensorLog, Ints, Floats, Ints, bool]
     """Frames of rows, without those in which all rows are repeated."""
     frame_of, times, observers = _cluster(log)
     repeated = _repeated(log, frame_of, observers)
-    # an empty frame after an empty frame is not told from a held one
+    # consecutive empty frames cannot be distinguished from held ones
     shown = np.bincount(frame_of[log.target >= 0], minlength=len(times)) > 0
     moving = _turning(log, frame_of, times, observers)
     share = repeated[shown & moving].mean() if (shown & moving).any() else 0.0

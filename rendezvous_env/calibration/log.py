@@ -99,7 +99,7 @@ class SensorLog:
     timed: bool = True
     """False if times only number the rows, so that nothing that depends on time is estimated."""
     notes: tuple[str, ...] = ()
-    """What was found or corrected while reading."""
+    """Notes about findings and corrections while reading."""
 
     @property
     def dim(self) -> int:

@@ -13,10 +13,10 @@ from .fit import Estimates, SensorFit
 from .frames import Chances, find_chances, frames_by_stamp
 from .log import Floats, Mask, SensorLog
 
-_BULK = 0.3  # rad, within which moments of errors are taken
-_WRONG = 1.0  # rad, beyond which a bearing is taken for that of something else
+_BULK = 0.3  # rad, within which moments of errors are computed
+_WRONG = 1.0  # rad, beyond which a bearing is attributed to another object
 _SHARE_OF_VIEW = 0.875  # of half the field of view, within which detection by distance is counted
-_STAMPS = 1.02  # stamps per frame from which measures by stamp are told
+_STAMPS = 1.02  # stamps per frame from which measures by stamp are reported
 
 
 def measures(fit: SensorFit) -> dict[str, Any]:

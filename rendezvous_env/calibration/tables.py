@@ -19,10 +19,10 @@ which nothing was detected."""
 POSE_COLUMNS = ("time", "robot", "x", "y", "heading")
 """Columns of a table of poses; ``z`` is optional. A robot with a single pose is a landmark."""
 _FEW = 6  # identifiers that a message lists
-_CLEARLY = 0.2  # of the error in other units, below which these are the units
+_CLEARLY = 0.2  # ratio of the error to that in other units, below which the units are accepted
 _SMALL = 0.03  # rad, of errors that no other unit could improve
 _TOLERABLE = 0.5  # share of rows whose target may be unknown
-_MANY_ROWS = 2000  # from which units are told
+_MANY_ROWS = 2000  # minimum number of rows to recognise units
 
 
 class LogError(ValueError):

@@ -16,7 +16,7 @@ from . import threads
 from .memory_layout import scratch
 from .preparation import clocks, constants, events, robot, sensor, traffic
 from .stages.conclude import add_step
-from .state import State
+from .state import BatchState
 from .step import StepStages
 from .thread_tuner import ThreadTuner
 from .threads import Calls, Slice
@@ -30,7 +30,7 @@ _OBSTACLES, _ERRING, _CONTROLLED = 4, 2, 3
 """Relative cost of obstacle rows, of imperfect sensors, and of steps with a controller."""
 
 _FEW = 6
-"""A group of blocks is observed as a whole if at least one in this number of its blocks has to be:
+"""A group of blocks is observed as a whole if at least one in this number of its blocks needs it:
 calls for one block take as long as for several."""
 
 _Observations = NDArray[np.float32]  # annotations within ``step_n`` are looked up in every step
@@ -59,7 +59,7 @@ class BatchController(Protocol):
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """Calls that process the result of a step.
 
-        Arguments are contacts, (B, n), the robot that each one has become part of, (B, n), and the
+        Arguments are contacts, (B, n), the robot that each one has merged into, (B, n), and the
         environments that did not step, (B,).
         """
         ...
@@ -85,7 +85,7 @@ class DiagnosticsSnapshot:
         self._inactive = ~part
 
     def restore(self) -> None:
-        """Restore the diagnostics of robots that took no part."""
+        """Restore the diagnostics of robots outside ``part``."""
         for values, before in zip(self._values, self._before, strict=True):
             np.copyto(values, before, where=self._inactive)
 
@@ -96,7 +96,7 @@ class _ControlledSteps(NamedTuple):
     """Consecutive steps of a batch under a controller."""
 
     controller: BatchController
-    state: State
+    state: BatchState
     actions: NDArray[np.float32]
     output: StepOutput
     resting: NDArray[np.bool_]  # (B,), environments that do not take part
@@ -146,7 +146,7 @@ class BatchRunner:
     None is one thread per core. Episodes end after ``max_steps``.
     """
 
-    def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
+    def __init__(self, state: BatchState, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
         self._state, self._num_threads = state, num_threads
         rows = 1 + place.neighbours + _OBSTACLES * (place.rows - place.neighbours)
@@ -178,8 +178,7 @@ class BatchRunner:
     def _tuner_of(self, steps: int) -> ThreadTuner:
         """Thread tuner for a number of steps.
 
-        It uses as many threads as have enough work each, and a share of work that the first thread
-        does ahead of the others.
+        It limits the threads to those with enough work, and gives the first thread a larger share.
         """
         work = steps * self._work_of_step
         if (most := min(self._state.place.blocks, work // _WORK_PER_THREAD)) <= 1:
@@ -292,8 +291,8 @@ class BatchRunner:
     def observe_again(self, which: NDArray[np.int64], output: StepOutput) -> NDArray[np.int64]:
         """Recompute the observations of some environments.
 
-        Those of all environments in their blocks are rewritten unchanged, or in their groups of
-        blocks if these have many. Returns all these environments.
+        The others of their blocks, or groups of blocks if many, are rewritten unchanged. Returns
+        all these environments.
         """
         place, (batch,) = self._state.place, self._shapes[3]
         parts: list[tuple[int, int]] = []
@@ -359,5 +358,5 @@ class BatchRunner:
         if self._may_overflow:
             output.neighbour_overflow.fill(-1)
         if (near := self._near) is None:
-            near = stages.all_compiled or stages.any_near()  # to call them in vain costs little
+            near = stages.all_compiled or stages.any_near()  # unnecessary calls cost little
         return stages.calls(0, blocks, actions, output, self.scratch, near)

@@ -1,4 +1,4 @@
-"""Episodes: seed, episode number and initial condition of each environment."""
+"""Reset of episodes: seed, episode number and initial condition of each environment."""
 
 import math
 from collections.abc import Callable
@@ -21,13 +21,13 @@ from .edge_tables import as_kept
 from .memory import AWAITING_RESET, RUNNING, Robot
 from .memory_layout import Scratch
 from .preparation import StartRules, fixed_links, fixed_obstacles, start_rules
-from .state import State
+from .state import BatchState
 
 
-class Episodes:
+class EpisodeReset:
     """Initialises the episodes of B environments."""
 
-    def __init__(self, state: State, robot: Robot, scratch: Scratch) -> None:
+    def __init__(self, state: BatchState, robot: Robot, scratch: Scratch) -> None:
         self._state, self._robot, self._scratch = state, robot, scratch
         self._rules = start_rules(state.scenario)
         links, n = fixed_links(state.scenario), state.scenario.n_robots
@@ -67,7 +67,7 @@ class Episodes:
             failed = self._run(reset.draw_graphs, lanes, which, *given)
             if failed >= 0:
                 raise RuntimeError(
-                    f"the graph drawn for environment {failed} has more links than expected; "
+                    f"the graph sampled for environment {failed} has more links than expected; "
                     "choose another seed"
                 )
         pending, trial = which, 0
@@ -100,7 +100,7 @@ class Episodes:
         state, work, field, lanes = self._state, self._scratch, rules.field, self._state.lanes
         streams, world, positions = (state.seed, state.number), state.obstacles, work.vectors[0]
         if field is not None and rules.draw_obstacles:
-            # obstacles keep clear of given positions; positions that are drawn of obstacles
+            # obstacles keep clear of given positions, and sampled positions of obstacles
             n_given = 0 if rules.draw_positions else state.scenario.n_robots
             given: tuple[Any, ...] = field, n_given, state.robots, world, positions
             failed = self._run(reset.draw_fields, lanes, which, trial, *streams, *given)
@@ -173,20 +173,20 @@ class Episodes:
                 f"no initial positions found for environment {team}: {scenario.n_robots} robots in "
                 f"a spawn_size of {scenario.spawn_size} m, connected by links of at most range − "
                 f"(n − 1) merge_radius/2 = {scenario.start_reach:.6g} m, 2 merge_radius apart and "
-                "clear of obstacles; make spawn_size smaller or sensing.range larger, thin out the "
+                "clear of obstacles; make spawn_size smaller or sensing.range larger, use fewer "
                 "obstacles, or pass require_connected=False"
             )
         if scenario.start_region is not None:
             return (
-                f"no room for initial positions in environment {team}: {scenario.n_robots} robots, "
-                f"neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m apart and "
-                "clear of obstacles, in the start_region; enlarge it"
+                f"no room for initial positions in environment {team}: {scenario.n_robots} "
+                f"robots, neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m "
+                "apart and clear of obstacles, in the start_region; enlarge it"
             )
         return (
             f"no room for initial positions in environment {team}: {scenario.n_robots} robots, "
-            f"neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m apart "
-            f"and clear of obstacles, in a spawn_size of {scenario.spawn_size} m; "
-            "enlarge it or thin out the obstacles"
+            f"neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m apart and clear "
+            f"of obstacles, in a spawn_size of {scenario.spawn_size} m; enlarge it or use fewer "
+            "obstacles"
         )
 
     def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None] | None) -> None:
@@ -209,7 +209,7 @@ class Episodes:
         for weights in () if given.weights is None else given.weights:
             if (found := np.count_nonzero(np.triu(weights))) > room:
                 raise ValueError(
-                    f"weights have {found} links; environments of this scenario have room for "
+                    f"weights have {found} links; environments of this scenario have memory for "
                     f"{room}; give the scenario a graph with as many"
                 )
 
@@ -275,7 +275,7 @@ class Episodes:
 
 
 def _unturned(scenario: Scenario) -> list[int]:
-    """Robots of a mixed team whose frame is the global one whatever the headings."""
+    """Robots of a mixed team whose frame is the global one for any headings."""
     if not scenario.mixes_models or scenario.local_frames != "global":
         return []
     straight = {model.name for model in scenario.models if model.n_angles == 0}

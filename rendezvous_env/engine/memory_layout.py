@@ -52,7 +52,7 @@ class MemoryLayout:
         self.packed = self.sparse or layout.neighbour_slots != n - 1
         self.only_balls = parsing.only_balls(scenario.obstacles)
         self.moving = moves(scenario.obstacles)
-        self.n_obstacles, self.points = scenario.obstacle_places, layout.silhouette_points
+        self.n_obstacles, self.points = scenario.obstacle_places, layout.rows_per_obstacle
         self.discs = self.n_obstacles if d == 2 and not self.indexed else 0
         self.fields = d + d * d + scenario.model.memory_size(d)
         """Numbers per robot: position, frame, memory."""
@@ -66,9 +66,7 @@ class MemoryLayout:
 
     @property
     def sensor_memory(self) -> tuple[int, int, int]:
-        """Numbers that sensors keep of a team: of detection, of noise (each of two steps), and rows
-        of a robot that are held between samples.
-        """
+        """Sizes of sensor memory: detection, noise (two steps each), and held rows of a robot."""
         sensing, n = self.scenario.sensing, self.scenario.n_robots
         pairs, silhouettes = n * (n - 1), n * self.n_obstacles * self.points
         remembers = sensing.largest("persistence") > 0.0

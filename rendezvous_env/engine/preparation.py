@@ -33,7 +33,7 @@ from ..sensors.effects import Effects, Redraws, effects_of, kept_share, redraws_
 from ..sensors.imperfections import Imperfections, Views, imperfections_of, views_of
 from .edge_tables import LinkList
 from .memory import Robot
-from .state import State
+from .state import BatchState
 
 
 class Constants(NamedTuple):
@@ -48,11 +48,11 @@ class Constants(NamedTuple):
     neighbour_slots: int
     reward_weights: tuple[float, ...]
     weighs_clearance: bool  # Whether the reward has a term of clearance
-    all_earn: bool  # Whether merged-away robots earn the team reward, too
-    body_radius: float  # Of robots in one another's way, m; the largest
+    all_earn: bool  # Whether merged robots receive the team reward, too
+    body_radius: float  # Largest body radius, m
     body_radii: NDArray[np.float64]  # Of robots that occlude others, (n,), m
-    packs: bool  # Whether bodies stop where they would touch, instead of merging
-    merges_through: bool  # Whether robots merge where an obstacle is between them
+    packs: bool  # Whether bodies stop at contact, instead of merging
+    merges_through: bool  # Whether robots merge through obstacles
     obstacle_reach: float  # Largest displacement of an obstacle in a step, m
 
 
@@ -69,8 +69,8 @@ class Sensor(NamedTuple):
     redraws: Redraws  # of the memory of detection
     errors_kept: float  # of the memory of noise in a step, see ``effects``
     samples_per_step: float  # 0 without a sample period
-    views: Views | None  # where they differ between robots
-    biases: NDArray[np.float64] | None  # where they differ between robots, (n,), rad
+    views: Views | None  # if they differ between robots
+    biases: NDArray[np.float64] | None  # if they differ between robots, (n,), rad
     delays: NDArray[np.int64]  # of each robot, (n,), steps
 
 
@@ -95,7 +95,7 @@ def speed_limits_of(robot: Robot) -> NDArray[np.float64]:
     return np.asarray(robot.limits[:, column])
 
 
-def sensor(state: State) -> Sensor | None:
+def sensor(state: BatchState) -> Sensor | None:
     """Sensor of a scenario's robots; None if it is exact."""
     scenario, place = state.scenario, state.place
     sensing, tau = scenario.sensing, scenario.tau
@@ -166,13 +166,13 @@ class StartRules(NamedTuple):
     region: NDArray[np.float64] | None  # Triangles in which positions are sampled, or None
     least_distance: float
     keep_out: float
-    factors: tuple[float, float] | None  # The range of what given arcs are multiplied by, or None
+    factors: tuple[float, float] | None  # The range of factors of given arcs, or None
     reach: float | None
     """For changing links: length up to which links must connect the initial condition, m; inf
     without this requirement. All robots then keep their distance from each other. None: robots
     keep their distance from neighbours only."""
-    graph: GraphRules | None  # None where no episode draws anything of its graph
-    field: Rules | None  # None where no episode draws obstacles
+    graph: GraphRules | None  # None if no part of the graph is sampled
+    field: Rules | None  # None if obstacles are not sampled
 
 
 def start_rules(scenario: Scenario) -> StartRules:
@@ -212,7 +212,7 @@ def _factors(scenario: Scenario) -> tuple[float, float] | None:
 def fixed_links(scenario: Scenario) -> LinkList | None:
     """Links of every episode; None if they are sampled or change.
 
-    Those of a directed graph are still to be multiplied by sampled factors.
+    Those of a directed graph do not yet include sampled factors.
     """
     graph = scenario.sensing_graph
     if graph.changes or (_draws_links(scenario) and not graph.directed):

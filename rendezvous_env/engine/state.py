@@ -40,15 +40,15 @@ _FAILURES = ("crashed", "crash"), ("adversarial", "adversary"), ("blind", "blind
 """Infos key and kind of the events of robots."""
 
 
-class State:
+class BatchState:
     """State of B environments of one scenario."""
 
     def __init__(self, place: MemoryLayout) -> None:
         self.place, self.scenario, self.batch = place, place.scenario, place.batch
         self.lanes, n, d = place.lanes, self.scenario.n_robots, self.scenario.dim
         self.robots = aligned(place.blocks, n, place.fields * self.lanes)
-        """Position, frame and memory of every robot, see ``memory``; those of a merged robot are
-        from the time of its merge."""
+        """Position, frame and memory of every robot, see ``memory``; a merged robot keeps those of
+        its merge."""
         self.environments = aligned(place.blocks, N_FIELDS * self.lanes)
         self.merged_into = np.zeros((place.batch, n), np.int64)
         """(B, n), robot that each one has become part of; itself while active."""
@@ -86,13 +86,13 @@ class State:
         self.arrivals = np.full((place.batch, n if moving else 0, 3), np.nan)
         """Positions after a step of robots beside moving obstacles, m; of the current step."""
         self.held = np.zeros((place.batch, n if held else 0, held, rows.dim), np.float32)
-        """Observations that are held between samples; none without a sample period."""
+        """Observations held between samples; none without a sample period."""
         self.still_skins: Any = 0.0
         """Skins in a scenario with moving obstacles, (M,), m; those of still ones."""
         clocked = place.batch, 0 if self.scenario.activation.synchronous else n
         self.commands = np.zeros((*clocked, self.scenario.action_size), np.float32)
-        """Commands in execution, see ``stages.commands``; none if robots are synchronous, as of
-        the next two."""
+        """Current commands, see ``stages.commands``; empty if robots are synchronous, as the next
+        two."""
         bounded = self.scenario.activation.kind == "bounded"
         self.last_activation = aligned(place.blocks * bounded, n, self.lanes, kind=np.int64)
         """Step of each robot's last activation, −1 before the first; none without an adversary."""
@@ -101,7 +101,7 @@ class State:
         """Robots that were active in the last step."""
         events = self.scenario.events
         self.faults = np.full((place.batch, 4, n if events.fails else 0), NEVER)
-        """Steps of failures, see ``robots.events``; none if nothing fails."""
+        """Steps of failures, see ``robots.events``; empty without failures."""
         opposed = bounded or "adversary" in events.kinds
         self.nets = aligned(place.blocks * opposed, n, self.lanes * d, kind=np.float32)
         """f_i of every robot, see ``stages.commands.sum_bearings``; none without adversaries."""
@@ -141,7 +141,7 @@ class State:
         of_sensors = "past", "detection", "errors", "held"
         own = *of_sensors, "commands", "last_activation", "faults"
         self._kept += [name for name in own if self._arrays[name].size]
-        # the first observation of an episode writes what sensors keep
+        # the first observation of an episode initialises sensor memory
         begun = {name: array for name, array in self._arrays.items() if name not in of_sensors}
         self._begun_anew = [name for name, array in begun.items() if array.size]
 
@@ -186,7 +186,7 @@ class State:
         return obstacle_set.table_of(self.obstacles)
 
     def _empty_index(self, tables: int, slots: int) -> spatial_index.SpatialIndex:
-        """Index of tables without obstacles, of which all environments have the last."""
+        """Index of tables without obstacles; all environments use the last."""
         own = spatial_index.empty(tables, slots)
         return own._replace(source=np.full(self.batch, tables - 1))
 
@@ -205,7 +205,7 @@ class State:
     def with_index(
         self, world: ObstacleSet | None, which: NDArray[np.int64]
     ) -> dict[str, NDArray[Any]]:
-        """Arrays of the obstacles of environments, (count or 1, …), for ``give``; none for None."""
+        """Arrays of obstacles of environments, (count or 1, …), for ``give``; {} for None."""
         if world is None or self.index is None:
             return {} if world is None else world._asdict()
         kept = [self._are_shared(world, b) for b in range(len(world.kinds))]

@@ -111,7 +111,7 @@ def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: fl
     given = state["frames"]
     d = 3 if given.shape[-1] % 3 == 0 else 2
     frames = given.reshape(*given.shape[:2], d, d)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is huge is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # huge values are rejected
         gap = np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(d)).max(axis=(-2, -1))
         wrong = ~((gap <= tolerance) & (np.linalg.det(frames) > 0))
     refuse_first("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
@@ -206,7 +206,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     refuse("seed", state["seed"] >= 2**63, "below 2**63")
     refuse("episode", state["episode"] < -1, "-1 (none yet) or more")
     _check_conditions(state)
-    if "frames" in state:  # those of teams that have not begun are not drawn yet
+    if "frames" in state:  # environments before their first reset have none
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if scenario.model.keeps_velocity:
         _check_velocities(scenario, state["memory"])
@@ -277,7 +277,7 @@ def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> 
             team, e = np.nonzero(used)
             np.add.at(counts, (team, robots[team, e]), 1)
             of_gone |= np.take_along_axis(gone, robots, axis=1)
-    refuse_first("weights", used & of_gone, weights, "0 for pairs with a merged-away robot")
+    refuse_first("weights", used & of_gone, weights, "0 for pairs with a merged robot")
     if (counts > slots).any():
         where = tuple(int(k) for k in np.argwhere(counts > slots)[0])
         raise ValueError(
@@ -293,15 +293,14 @@ def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -
     """
     if not isinstance(output, StepOutput):
         raise ValueError(
-            f"outcome is {short_repr(output)}; it must be what step() gave out, or None"
+            f"outcome is {short_repr(output)}; it must be the output of step(), or None"
         )
     arrays: tuple[Any, ...] = output
     for name, array, (shape, kind) in zip(StepOutput._fields, arrays, wanted, strict=True):
         if array.shape != shape or array.dtype != kind or not array.flags.carray:
             raise ValueError(
                 f"outcome: {name} is {array.dtype} of shape {array.shape}; a step of these "
-                f"environments gives out {kind} of shape {shape}, in one piece that can be written "
-                "to"
+                f"environments returns {kind} of shape {shape}, contiguous and writable"
             )
 
 

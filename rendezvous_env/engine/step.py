@@ -88,20 +88,20 @@ from .stages.sense_obstacles import (
     sense_shapes,
 )
 from .stages.write_observations import sense_oneself, write_observations, write_packed
-from .state import State
+from .state import BatchState
 
 _LARGEST = np.finfo(np.float32).max
 Call = Callable[[], Any]
 
 
-class _Late(NamedTuple):
+class _Placeholder(NamedTuple):
     """Trailing argument of a stage that changes in each step."""
 
     place: int  # index among outputs, actions and rows
 
 
-_OUTPUT: Any = StepOutput(*map(cast(Any, _Late), range(len(StepOutput._fields))))
-_ACTIONS, _ROWS = _Late(len(_OUTPUT)), _Late(len(_OUTPUT) + 1)
+_OUTPUT: Any = StepOutput(*map(cast(Any, _Placeholder), range(len(StepOutput._fields))))
+_ACTIONS, _ROWS = _Placeholder(len(_OUTPUT)), _Placeholder(len(_OUTPUT) + 1)
 
 
 class StepStages:
@@ -109,7 +109,7 @@ class StepStages:
 
     def __init__(
         self,
-        state: State,
+        state: BatchState,
         robot: Robot,
         constants: Constants,
         sensor: Sensor | None,
@@ -173,7 +173,7 @@ class StepStages:
         Also the function that selects these from those ``given`` in a step. A missing kernel is
         compiled.
         """
-        late: list[Any] = [one.place for one in arguments if isinstance(one, _Late)]
+        late: list[Any] = [one.place for one in arguments if isinstance(one, _Placeholder)]
         fixed = arguments[: len(arguments) - len(late)]
         if (entry := self._entries.get(kernel)) is None:
             found = (*fixed, *(_writable(given[place]) for place in late))
@@ -343,7 +343,7 @@ class StepStages:
         state, robot, place = self._state, self._robot, self._state.place
         errors = sensor.errors
         if sensor.effects is not None and sensor.effects.falloff > 0.0:
-            errors = errors._replace(half_field=math.pi)  # to fall off to the edge ends there
+            errors = errors._replace(half_field=math.pi)  # linear falloff ends at the edge
         blocks = first, last, moves, errors
         memory, streams = (work.keys, work.words), (state.seed, state.number)
         if sensor.views is not None:
@@ -426,7 +426,7 @@ class StepStages:
     def _turn_observers(
         self, rows: tuple[int, int], blocks: tuple[int, int, bool], sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
-        """Turn rows, from one to before another, by what a robot's sensor is askew."""
+        """Rotate a range of rows by the bias of each robot's sensor."""
         if sensor.observer_bias.max() > 0.0:
             state = self._state
             streams = state.seed, state.number, state.environments
@@ -444,7 +444,7 @@ class StepStages:
     def _apply_noise_to_silhouettes(
         self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
-        """What changes silhouettes, in the order of rows of neighbours: sectors come last."""
+        """Stages that change angular extents, in the order of neighbour rows: sectors come last."""
         state, place, effects, errors = (
             self._state,
             self._state.place,

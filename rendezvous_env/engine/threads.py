@@ -50,7 +50,7 @@ def share(
         BaseException: an error of a call, or of a signal handler in the caller. No thread is then
             working on a block. Unless a call failed, either all calls are done or none.
     """
-    # a worker that shared its slice would wait for the others, and they for it
+    # a worker that shares its slice would deadlock with the others
     if num_threads == 1 or not compiled() or threading.current_thread() in _workers:
         for one in calls_of((0, blocks, 0)):
             one()
@@ -97,7 +97,7 @@ def _is_compiled_call(one: Any) -> bool:
 
 @kernel
 def _wait(ended, turns, most):
-    """Poll until all of ``ended`` are 1, at most ``most`` times; whether they are.
+    """Poll until all of ``ended`` are 1, at most ``most`` times; returns whether they are.
 
     Iterations are counted in an array that might alias ``ended``, so that the compiler reads
     ``ended`` from memory each time.

@@ -9,6 +9,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, raise_invalid, short_repr
+from ..deprecation import renamed_arguments
 from ..engine.step import first_not_finite
 from ..render.renderer import RENDER_MODES
 from ..simulator import Simulator
@@ -27,9 +28,9 @@ _Space = TypeVar("_Space")
 class RobotInfo(dict[str, Any]):
     """Infos of one robot, under the same keys in every step.
 
-    ``info["summary"]`` is none of the keys, so that libraries that make arrays of infos find the
-    same in every step. It reads the numbers of STANDING once more, and ``"summary" in info`` is
-    True after the last step of an episode, both as in earlier versions.
+    ``info["summary"]`` returns the values of STANDING but is not a key, because libraries that
+    stack infos need equal keys in every step. ``"summary" in info`` is True after the last step of
+    an episode. Both are as in earlier versions.
     """
 
     __slots__ = ()
@@ -76,20 +77,21 @@ class BaseParallelEnv(
     _left_out: tuple[str, ...] = ("robot_rewards",)
     """Infos of the vector environment that agents do not receive."""
 
-    def __init__(self, teams: Any) -> None:
-        self._hold(teams)
+    @renamed_arguments(teams="vector_env")
+    def __init__(self, vector_env: Any) -> None:
+        self._hold(vector_env)
         self.possible_agents = names_of(self.scenario.n_robots)
         self.agents: list[str] = []
-        sees: Any = teams.single_observation_space
-        does: Any = teams.single_action_space
+        sees: Any = vector_env.single_observation_space
+        does: Any = vector_env.single_action_space
         robots = dict(enumerate(self.possible_agents))
         self.observation_spaces = {name: of_one_robot(sees, i) for i, name in robots.items()}
-        parts = self._parts = component_mask(teams)
+        parts = self._parts = component_mask(vector_env)
         self.action_spaces = {
             name: of_one_robot(does, i, None if parts is None else parts[i])
             for i, name in robots.items()
         }
-        self.state_space = teams.unwrapped.single_state_space
+        self.state_space = vector_env.unwrapped.single_state_space
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -107,9 +109,7 @@ class BaseParallelEnv(
 
     @property
     def np_random(self) -> np.random.Generator:
-        """Random numbers for wrappers, as Gymnasium has them: seeded with the team's seed, and not
-        used by the team.
-        """
+        """Random generator for wrappers, seeded with the environment's seed, as in Gymnasium."""
         if self._np_random is None:
             self._np_random = np.random.default_rng()
         return self._np_random
@@ -120,11 +120,11 @@ class BaseParallelEnv(
 
     @property
     def np_random_seed(self) -> int | None:
-        """The seed in use, of the team and of ``np_random``; None before the first reset."""
+        """Seed of the environment and of ``np_random``; None before the first reset."""
         return self._np_random_seed
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """As ``OneTeam.set_state``; in ``agents`` are the robots that take actions then."""
+        """As ``SingleEnvMixin.set_state``; updates ``agents`` to the robots that take actions."""
         super().set_state(state)
         simulator, follow = self.simulator, self.scenario.on_merge == "follow"
         robots = zip(self.possible_agents, simulator.active[0].tolist(), strict=True)
@@ -132,7 +132,7 @@ class BaseParallelEnv(
         self.agents = [] if over else [name for name, active in robots if active or follow]
 
     def _by_name(self, infos: Mapping[str, Any]) -> Infos:
-        """Infos by agent: individual values and those of the team."""
+        """Infos by agent: values of the robot and of the environment."""
         kept = {
             key: values[0]
             for key, values in infos.items()
@@ -167,7 +167,7 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
     names = names_of(len(merged_into))
     for name in actions:
         if name not in names:
-            raise KeyError(f"{short_repr(name)} is no robot of this team: {names}")
+            raise KeyError(f"{short_repr(name)} is no robot of this environment: {names}")
         if name not in alive:
             survivor = names[merged_into[names.index(name)]]
             why = "has ended" if survivor == name else f"has merged into {survivor}"
@@ -187,7 +187,7 @@ def table_of(
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
     if simulator.scenario.pads_actions:
         return _padded_table(actions, alive, simulator)
-    try:  # all at once; one by one only to find out what is wrong with them
+    try:  # all at once; individually only to locate an error
         listed = np.array([actions[name] for name in alive])
         if listed.dtype != np.float32:
             listed = floats("actions", listed, np.float32)

@@ -44,8 +44,9 @@ def check_period(decision_period: int) -> int:
 
 
 def layers_of(env: Any) -> Iterator[Any]:
-    """An environment of either API and what it wraps, the outermost first; conversions of
-    PettingZoo between its two forms included.
+    """Layers of an environment of either API, outermost first.
+
+    PettingZoo's conversions between parallel and AEC form are included.
     """
     while env is not None:
         yield env
@@ -53,10 +54,10 @@ def layers_of(env: Any) -> Iterator[Any]:
         env = getattr(env, "aec_env", None) if beneath is None else beneath
 
 
-def component_mask(teams: Any) -> NDArray[np.bool_] | None:
-    """True for action components that a robot has, (n, a), under a filter too; None if all are."""
-    masks = [layer.action_mask for layer in layers_of(teams) if hasattr(layer, "action_mask")]
-    own: NDArray[np.bool_] | None = masks[0] if masks else teams.unwrapped.scenario.action_mask
+def component_mask(env: Any) -> NDArray[np.bool_] | None:
+    """True for action components that a robot has, (n, a), also under a filter; None if all are."""
+    masks = [layer.action_mask for layer in layers_of(env) if hasattr(layer, "action_mask")]
+    own: NDArray[np.bool_] | None = masks[0] if masks else env.unwrapped.scenario.action_mask
     return None if own is None or own.all() else own
 
 
@@ -68,11 +69,11 @@ def settings_of(kind: type[SafetyFilter]) -> list[str]:
 def make_filter(
     safety_filter: AnyFilter, simulator: Simulator, settings: Mapping[str, Any]
 ) -> SafetyFilter:
-    """Filter for the given environments; raises for an unknown name or other environments."""
+    """Create a filter for a simulator; raises for an unknown name or other environments."""
     scenario, num_envs = simulator.scenario, simulator.num_envs
-    own = ["decision_period"]  # of the wrapper, which has taken it where it is spelt so
+    own = ["decision_period"]  # an argument of the wrapper, listed for suggestions
     if isinstance(safety_filter, SafetyFilter):
-        known_fields(settings, own, "a safety_filter that is made", "setting")
+        known_fields(settings, own, "a safety_filter instance", "setting")
         if (safety_filter.scenario, len(safety_filter.held)) != (scenario, num_envs):
             raise_invalid(
                 "safety_filter",
@@ -118,7 +119,7 @@ class FilterWrapperMixin:
         self.decision_period = check_period(decision_period)
         self.filter = made = make_filter(safety_filter, base.simulator, settings)
         self._check_names(made)
-        self._take_alone(made)
+        self._register_filter(made)
         setattr(self, made.state_key, made)
         scenario = base.scenario
         shape = base.simulator.num_envs, scenario.n_robots, *scenario.observation_layout.shape
@@ -127,9 +128,9 @@ class FilterWrapperMixin:
         self._checks_passage = env is not base and not any(
             getattr(type(layer), "part_of_world", False) for layer in layers_of(env)
         )
-        """True if wrappers beneath may change nothing that passes through them."""
+        """True if wrappers beneath must not change actions or observations."""
         if self._checks_passage:
-            self._teams_of(base).records_passage = True
+            self._vector_env_of(base).records_passage = True
         super().__init__(env)  # type: ignore[call-arg]  # the wrapper of the API
         robot = observation_box(scenario, base.flatten, made)
         self._make_spaces(robot, choice_box(made))
@@ -144,53 +145,55 @@ class FilterWrapperMixin:
         for layer in layers_of(env):
             if isinstance(layer, FilterWrapperMixin):
                 raise TypeError(
-                    f"env is under {type(layer).__name__} already, and {wrapper} cannot stand on "
-                    "it: one would undo what the other guarantees; wrap the environment itself"
+                    f"env already has the safety filter {type(layer).__name__}, which {wrapper} "
+                    "cannot wrap: two filters void both guarantees; wrap the environment itself"
                 )
         for layer in layers_of(env):
             if isinstance(layer, self._changing):
                 raise TypeError(
-                    f"env is under {type(layer).__name__}, which changes what robots see or do, "
-                    f"and {wrapper} cannot stand on it; put it upon {wrapper}"
+                    f"env is wrapped in {type(layer).__name__}, which changes observations or "
+                    f"actions, and {wrapper} cannot wrap it; apply it outside {wrapper}"
                 )
         for layer in reversed([*layers_of(env)]):
             if layer is not base and self._spaces_of(layer, base) != self._spaces_of(base, base):
                 raise TypeError(
-                    f"env is under {type(layer).__name__}, which changes the spaces of "
-                    f"observations or actions, and {wrapper} cannot stand on it; put it upon "
+                    f"env is wrapped in {type(layer).__name__}, which changes the spaces of "
+                    f"observations or actions, and {wrapper} cannot wrap it; apply it outside "
                     f"{wrapper}"
                 )
         return base
 
     @staticmethod
     def _spaces_of(layer: Any, base: Any) -> Any:
-        """Spaces of what robots observe and do, as a layer over ``base`` declares them."""
+        """Observation and action spaces as declared by a layer over ``base``."""
         raise NotImplementedError
 
     @staticmethod
-    def _teams_of(base: Any) -> Any:
-        """The vector environment through which everything passes."""
+    def _vector_env_of(base: Any) -> Any:
+        """Innermost vector environment, which receives all actions."""
         raise NotImplementedError
 
     def _check_passage(
-        self, actions: NDArray[np.float32] | None, observations: NDArray[np.float32], who: Any
+        self, actions: NDArray[np.float32] | None, observations: NDArray[np.float32], robots: Any
     ) -> None:
-        """Refuse wrappers beneath that have changed the actions (B, n, a) of the robots ``who``, an
-        index, or the observations (B, n, rows, d) that passed through them.
+        """Raise a RuntimeError if a wrapper beneath has changed actions or observations.
+
+        Compares the actions (B, n, a) of some robots, given by an index, and the observations (B,
+        n, rows, d) with those of the base environment.
         """
-        taken, seen = self._teams_of(self._base).passage
-        what = []
-        if actions is not None and not np.array_equal(taken[who], actions[who]):
-            what.append("actions")
-        if not np.array_equal(seen, observations):
-            what.append("observations")
-        if what:
+        executed, observed = self._vector_env_of(self._base).passage
+        changed = []
+        if actions is not None and not np.array_equal(executed[robots], actions[robots]):
+            changed.append("actions")
+        if not np.array_equal(observed, observations):
+            changed.append("observations")
+        if changed:
             wrapper = type(self).__name__
             raise RuntimeError(
                 f"a wrapper beneath {wrapper} ({self._named_between()}) has changed "
-                f"{' and '.join(what)}, so that nothing {wrapper} promises holds; put it around "
-                "the guarantee, and reset(). A wrapper that stands for sensors or actuators says "
-                "so with the class attribute part_of_world = True"
+                f"{' and '.join(changed)}, which voids the guarantee of {wrapper}; apply it "
+                f"outside {wrapper}, and reset(). A model of sensors or actuators declares the "
+                "class attribute part_of_world = True"
             )
 
     def _make_spaces(self, observations: Box, choices: Box) -> None:
@@ -203,25 +206,23 @@ class FilterWrapperMixin:
         if not (isinstance(key, str) and key.isidentifier()) or key[0] == "_":
             raise_invalid(f"state_key of {kind}", key, "a word that does not begin with _")
         if key in _OF_STATES or hasattr(type(self), key) or hasattr(self._base, key):
-            raise_invalid(
-                f"state_key of {kind}", key, "no name of an environment's own, which this is"
-            )
+            raise_invalid(f"state_key of {kind}", key, "a name that environments do not use")
         of_infos = {*_OF_INFOS, *self._base.simulator.costs}
         of_infos |= {*self._base.simulator.conditions}
         if taken := sorted(of_infos & set(made.diagnostics)):
             raise ValueError(
-                f"{kind} tells {taken[0]!r}, which environments tell in infos themselves; give it "
-                "another name"
+                f"{kind} reports {taken[0]!r}, which is already a key of the environments' infos; "
+                "give it another name"
             )
 
-    def _take_alone(self, made: SafetyFilter) -> None:
-        """Raise a ValueError for a filter of another wrapper, since it stores one batch."""
+    def _register_filter(self, made: SafetyFilter) -> None:
+        """Register the filter; raise a ValueError if another wrapper uses it."""
         holder = _holders.get(id(made))
         if holder is not None and holder.filter is made:
             raise ValueError(
-                f"safety_filter: this {type(made).__name__} is held by another "
-                f"{type(holder).__name__}, whose environments it remembers; make one for each "
-                "wrapper"
+                f"safety_filter: this {type(made).__name__} is used by another "
+                f"{type(holder).__name__} and stores the state of its environments; make one for "
+                "each wrapper"
             )
         _holders[id(made)] = self
 
@@ -241,30 +242,30 @@ class FilterWrapperMixin:
         """
         if self._seen != self._base.simulator.changes:
             raise RuntimeError(
-                f"call reset() of {type(self).__name__} before step(); an environment that was "
-                "reset, stepped or given a state before it was wrapped or beneath its wrapper, or "
-                "whose last step was interrupted, needs a new reset of the wrapper, or its "
-                "set_state()"
+                f"call reset() of {type(self).__name__} before step(); the wrapper needs a reset() "
+                "or set_state() after the environment was reset, stepped or given a state without "
+                "it, or after an interrupted step"
             )
 
     def _step_beneath(self, actions: Any) -> Any:
         """Step the wrapped environment; raises if a wrapper in between steps again or resets."""
         before = self._base.simulator.changes
-        told = self.env.step(actions)
+        returned = self.env.step(actions)
         if self._base.simulator.changes != before + 1:
             raise RuntimeError(
                 f"a wrapper beneath {type(self).__name__} has stepped or reset the environments "
-                "itself, or kept a step from them; put it around the guarantee, and reset()"
+                "itself, or skipped a step; apply it outside the guarantee wrapper, and reset()"
             )
-        self._check_infos(told[-1])
-        return told
+        self._check_infos(returned[-1])
+        return returned
 
     def _check_infos(self, infos: Any) -> None:
-        """Refuse a wrapper beneath that gives infos another form."""
+        """Raise a RuntimeError if a wrapper beneath returns infos other than a dict."""
         if not isinstance(infos, Mapping):
             raise RuntimeError(
-                f"a wrapper beneath {type(self).__name__} ({self._named_between()}) gives infos as "
-                f"a {type(infos).__name__}; they must be a dict: put it around the guarantee"
+                f"a wrapper beneath {type(self).__name__} ({self._named_between()}) returns infos "
+                f"as a {type(infos).__name__}; they must be a dict: apply it outside the guarantee "
+                "wrapper"
             )
 
     def _named_between(self) -> str:
@@ -298,11 +299,11 @@ class FilterWrapperMixin:
         check_keys(state, ("env", *parts, *self._arrays), exactly=True)
         arrays = check_entries(self._arrays, state)
         check_finite(arrays, arrays)
-        remembered = {name: part.check_state(state[name]) for name, part in parts.items()}
+        memories = {name: part.check_state(state[name]) for name, part in parts.items()}
         self._base.set_state(state["env"])
         for name, part in parts.items():
-            part.set_state(remembered[name])
-        self._observed = self._observed.copy()  # others hold what was given
+            part.set_state(memories[name])
+        self._observed = self._observed.copy()  # callers may hold the old array
         for name, array in self._arrays.items():
             array[...] = arrays[name]
         self._note_seen()

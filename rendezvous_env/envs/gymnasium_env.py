@@ -1,4 +1,4 @@
-"""Gymnasium factories: vector environments, and one team as a single agent."""
+"""Gymnasium factories: vector environments, and one agent that controls all robots."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, floats
+from ..deprecation import renamed_arguments
 from ..engine.memory import RENDEZVOUS
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
@@ -17,12 +18,12 @@ from ..scenario.start_options import seeds_of_environments
 from ..simulator import Simulator
 from .overrides import PlainSpec, arguments_of, check_overrides, sorted_overrides
 from .vector_env import (
-    ONE_TEAM,
+    SINGLE_ENV,
     Info,
     RendezvousVectorEnv,
     SingleEnvMixin,
-    check_one_team,
-    of_first_team,
+    check_single_env,
+    of_first_env,
 )
 from .vector_wrappers import HeadingVectorWrapper
 
@@ -33,13 +34,13 @@ __all__ = [
 
 
 class RendezvousEnv(SingleEnvMixin, PlainSpec, gymnasium.Env[Any, Any]):
-    """A team of n robots as a single Gymnasium agent.
+    """Gymnasium environment of n robots controlled by a single agent.
 
     Observations (n, rows, d), actions (n, a), the team reward and infos are those of
     ``RendezvousVectorEnv`` without the batch axis and masks.
 
     Args:
-        teams: a vector environment with B = 1 and ``AutoresetMode.DISABLED``, wrapped or not.
+        vector_env: a vector environment with B = 1 and ``AutoresetMode.DISABLED``, wrapped or not.
 
     Raises:
         ValueError: for another environment.
@@ -49,10 +50,11 @@ class RendezvousEnv(SingleEnvMixin, PlainSpec, gymnasium.Env[Any, Any]):
         "render_modes": RENDER_MODES
     }
 
-    def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
-        self._hold(teams)
-        self.observation_space = teams.single_observation_space
-        self.action_space = teams.single_action_space
+    @renamed_arguments(teams="vector_env")
+    def __init__(self, vector_env: VectorEnv[Any, Any, Any]) -> None:
+        self._hold(vector_env)
+        self.observation_space = vector_env.single_observation_space
+        self.action_space = vector_env.single_action_space
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -63,18 +65,18 @@ class RendezvousEnv(SingleEnvMixin, PlainSpec, gymnasium.Env[Any, Any]):
             ValueError: for an invalid option or seed; the state is unchanged.
         """
         observations, infos = self._reset(seeds_of_environments(seed, 1), options)
-        return observations[0], of_first_team(infos)
+        return observations[0], of_first_env(infos)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Info]:
         """Advance by one step τ; errors as ``RendezvousVectorEnv.step``."""
         table, simulator = floats("action", action, np.float32)[None], self.simulator
         over = not simulator.all_running and bool(simulator.ended[0])
-        observations, rewards, ends, cuts, infos = self.teams.step(table)
+        observations, rewards, ends, cuts, infos = self.vector_env.step(table)
         ended = bool(ends[0]), bool(cuts[0])
-        if over:  # one team that stands still stays ended
+        if over:  # an environment that has ended stays so
             met = simulator.status[0] == RENDEZVOUS
             ended = bool(met), not met
-        return observations[0], float(rewards[0]), *ended, of_first_team(infos)
+        return observations[0], float(rewards[0]), *ended, of_first_env(infos)
 
 
 def make_vec(
@@ -125,19 +127,19 @@ def make_heading_vec(
 
 
 def make_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
-    """A team as a single agent; arguments and errors as ``make_vec``."""
-    check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.make_vec")
-    return RendezvousEnv(make_vec(scenario, **ONE_TEAM | arguments))
+    """Single-agent environment; arguments and errors as ``make_vec``."""
+    check_single_env(arguments, "gymnasium.make_vec or rendezvous_env.make_vec")
+    return RendezvousEnv(make_vec(scenario, **SINGLE_ENV | arguments))
 
 
 def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
-    """A team as a single agent with heading vectors as actions, as ``make_heading_vec``."""
-    check_one_team(arguments, "gymnasium.make_vec or rendezvous_env.vector.HeadingVectorWrapper")
-    return RendezvousEnv(make_heading_vec(scenario, **ONE_TEAM | arguments))
+    """Single-agent environment with heading vectors as actions, as ``make_heading_vec``."""
+    check_single_env(arguments, "gymnasium.make_vec or rendezvous_env.vector.HeadingVectorWrapper")
+    return RendezvousEnv(make_heading_vec(scenario, **SINGLE_ENV | arguments))
 
 
 def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) -> RendezvousEnv:
-    """One team of a scenario in plain data (``Scenario.to_plain``), for specs."""
+    """Single-agent environment of a scenario in plain data (``Scenario.to_plain``), for specs."""
     return make_env(Scenario.from_plain(scenario), render_mode=render_mode)
 
 

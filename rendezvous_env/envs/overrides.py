@@ -65,13 +65,13 @@ def as_plain(value: Any) -> Any:
 
 
 class PlainSpec:
-    """An environment whose ``spec`` keeps arguments as plain data, so that it survives JSON."""
+    """Mixin that stores the arguments in ``spec`` as plain data, for JSON."""
 
     _spec: EnvSpec | None = None
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Specification by which Gymnasium made the environment, or None."""
+        """Specification from which Gymnasium created the environment, or None."""
         return self._spec
 
     @spec.setter

@@ -31,8 +31,8 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
 
     ## Action space
 
-    ``Box(a,)``, float32, in the robot's own frame; symmetric bounds. In teams of several robot
-    models each agent has the space of its model.
+    ``Box(a,)``, float32, in the robot's own frame; symmetric bounds. In mixed teams each agent has
+    the space of its model.
 
     | robot model       | action         | unit       | bound |
     |-------------------|----------------|------------|--------------------------------------------|
@@ -111,15 +111,14 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
     | activated | with ``Scenario.activation``: whether the robot took a new command |
     | crashed, blind, adversarial | with such ``Scenario.events``: whether the robot is |
 
-    ``info["summary"]``, which is none of the keys, reads success to lyapunov once more.
-    ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
-    units.
+    ``info["summary"]``, which is not a key, returns success to lyapunov as a dict. ``state()`` is
+    the privileged global state for centralised critics; ``simulator`` holds it in SI units.
 
     ## Pictures
 
     ``render_mode="rgb_array"``: ``render()`` gives a picture (600, 600, 3) uint8; no screen is
     needed. ``"human"``: a window that follows every step in real time; space pauses, the right
-    arrow or s makes one step, escape or q closes it and the episode goes on unseen. Both need the
+    arrow or s makes one step, escape or q closes it while the episode continues. Both need the
     extra ``render``. ``metadata["render_fps"]`` is 1/τ: real time.
 
     Version history: v0, the first version.
@@ -165,20 +164,20 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
         if self._is_over(actions):
             return {}, {}, {}, {}, {}
         simulator, alive = self.simulator, self.agents
-        outcome = self.teams.advance(table_of(actions, alive, simulator))
+        outcome = self.vector_env.advance(table_of(actions, alive, simulator))
         status, statistics = outcome.status.item(0), simulator.first_episode_statistics(outcome)
         over, met = status != RUNNING, status == RENDEZVOUS
         table = maybe_flatten(outcome.observations[0], self.flatten)
         (earned,), (active,) = outcome.robot_rewards.tolist(), outcome.active.tolist()
         (into,), (contact,) = simulator.copy_of_merged().tolist(), outcome.contact.tolist()
         (clearance,) = outcome.clearance.tolist()
-        # with all keys, so that the copies of robots do not grow
+        # all keys at once, so that the copies for robots are not resized
         common = statistics | {"merged_into": 0, "contact": False, "clearance": 0.0}
         removed, kind = self.scenario.on_merge == "remove", LastRobotInfo if over else RobotInfo
         returned: StepReturn = {}, {}, {}, {}, {}
         observations, rewards, ends, cuts, infos = returned
         gone = () if len(alive) == len(active) else {*self.possible_agents}.difference(alive)
-        # not strict: the end of an array is found by an error
+        # not strict, which would be slower
         numbers = earned, active, into, contact, clearance
         robots = zip(self.possible_agents, table, *numbers, strict=False)
         for name, rows, reward, on_its_own, survivor, touched, distance in robots:
@@ -187,7 +186,7 @@ class RendezvousParallelEnv(BaseParallelEnv[Box], ParallelEnv[str, NDArray[np.fl
             observations[name], rewards[name] = rows, reward
             ends[name] = ended = met or (removed and not on_its_own)
             cuts[name] = over and not ended
-            infos[name] = info = kind(common)  # then one by one: half as long as at once
+            infos[name] = info = kind(common)  # copies: half the time of one loop
             info["merged_into"], info["contact"], info["clearance"] = survivor, touched, distance
         for key, values in (simulator.costs | simulator.conditions).items():
             for name, told in infos.items():

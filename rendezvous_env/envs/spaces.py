@@ -46,7 +46,7 @@ def observation_box(
 
 
 def action_box(scenario: Scenario) -> Box:
-    """Action space of one robot; with limits per robot, the smallest that holds all."""
+    """Action space of one robot; with limits per robot, the smallest that contains all."""
     bounds = scenario.action_bounds.astype(np.float32)
     return Box(-bounds, bounds, dtype=np.float32)
 
@@ -67,7 +67,7 @@ def choice_box(action_filter: SafetyFilter) -> Box:
 
 
 def batched_space(space_of_one: str) -> Any:
-    """Lazy attribute with the batched space of a single-environment space, which is large."""
+    """Lazy attribute with the batched form of a single-environment space, which is large."""
     return cached_property(lambda env: batch_space(getattr(env, space_of_one), env.num_envs))
 
 
@@ -80,7 +80,7 @@ def team_box(robot: Box, n: int) -> Box:
 def of_one_robot(
     space: Space[Any], robot: int | None = None, parts: NDArray[np.bool_] | None = None
 ) -> Any:
-    """Space of one robot from that of n, a Box or a Discrete; None is one that holds all.
+    """Space of one robot, a Box or a Discrete, from that of n; None is one that contains all.
 
     With ``parts``, (a,), it has these components only.
     """
@@ -105,7 +105,7 @@ def state_box(scenario: Scenario) -> Box:
 
 
 def team_state(simulator: Simulator) -> NDArray[np.float32]:
-    """The privileged global state of every team, (B, …) float32, see ``OneTeam.state``."""
+    """Global state of every environment, (B, …) float32; see ``SingleEnvMixin.state``."""
     parts = (
         simulator.positions,
         simulator.frames,

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import choice, flag, number, raise_invalid, to_float
-from ..deprecation import renamed_arguments, renamed_attribute
+from ..deprecation import renamed_arguments, renamed_attribute, warn_renamed
 from ..engine.state_checks import check_entries, check_keys
 from ..rewards.terms import RewardWeights
 from ..safety.safety_filter import FILTERS
@@ -43,7 +43,7 @@ WRAPPERS: dict[str, Any] = {
 }
 """Wrapper class by guarantee: theorems C, D, G and R."""
 _LOGGER = logging.getLogger("rendezvous_env")
-_said: set[tuple[Scenario, str, bool]] = set()
+_warned: set[tuple[Scenario, str, bool]] = set()
 _logged: set[tuple[RewardWeights, float]] = set()
 _presets: list[Callable[[], Any]] = []
 
@@ -71,7 +71,7 @@ def training_env(
     max_cycles: int | None = None,
     contact_penalty: float | None = None,
     **overrides: Any,
-) -> TrainingTeams:
+) -> TrainingVectorEnv:
     """Create B environments for a generic learner, as a Gymnasium vector environment.
 
     Merged robots remain until the end with zero observations, ineffective actions and the team
@@ -120,10 +120,10 @@ def training_env(
     if changes.setdefault("on_merge", "follow") != "follow":
         raise_invalid("on_merge", changes["on_merge"], "'follow' in a training environment")
     chosen = resolve(scenario, **changes)
-    preset, shown, price = None, False, 0.0
+    preset, shown, penalty = None, False, 0.0
     if flag("learning_preset", learning_preset) and _presets:
         preset = _presets[0]()
-        reward, price = preset.earnings(guarantee)
+        reward, penalty = preset.earnings(guarantee)
         reward = _merged(reward, changes.get("reward"), chosen.reward)
         chosen = chosen if reward == chosen.reward else chosen.replace(reward=reward)
         shown = preset.shows(chosen, guarantee)
@@ -131,33 +131,33 @@ def training_env(
             arguments = preset.held_arguments(chosen, guarantee) | arguments
     if not flag("flatten", flatten) and shown:
         raise_invalid(
-            "flatten", flatten, "True, or learning_preset False: what Features shows is flat"
+            "flatten", flatten, "True, or learning_preset False: the output of Features is flat"
         )
     if flag("discrete", discrete) and not shown:
         raise_invalid(
             "discrete",
             discrete,
-            "False: the shipped policy's choices are for robots but double integrators with "
-            "learning_preset True and guarantee 'heading' or 'tank'",
+            "False: discrete actions need learning_preset True, guarantee 'heading' or 'tank', "
+            "and robots other than double integrators",
         )
-    teams: Any = make_vec(
+    env: Any = make_vec(
         chosen, num_envs, autoreset_mode, num_threads, max_cycles, render_mode, flatten
     )
     if guarantee is not None:
         if preset is not None and shown:
-            teams = preset.wrap(teams, guarantee, discrete, arguments)
+            env = preset.wrap(env, guarantee, discrete, arguments)
         elif guarantee in WRAPPERS:
-            teams = WRAPPERS[guarantee](teams, **arguments)
+            env = WRAPPERS[guarantee](env, **arguments)
         else:
-            teams = GuaranteeWrapper(teams, guarantee, **arguments)
+            env = GuaranteeWrapper(env, guarantee, **arguments)
     if contact_penalty is not None:
-        price = number("contact_penalty", contact_penalty)
-    _say_what_is_not_covered(chosen, guarantee, arguments)  # after all errors
-    if (chosen.reward, price) not in _logged:
-        _logged.add((chosen.reward, price))
+        penalty = number("contact_penalty", contact_penalty)
+    _warn_if_uncertified(chosen, guarantee, arguments)  # after all errors
+    if (chosen.reward, penalty) not in _logged:
+        _logged.add((chosen.reward, penalty))
         reward = chosen.reward.to_plain()
-        _LOGGER.info("training_env: reward in use: %s, contact_penalty %g", reward, price)
-    return TrainingTeams(teams, price)
+        _LOGGER.info("training_env: reward in use: %s, contact_penalty %g", reward, penalty)
+    return TrainingVectorEnv(env, penalty)
 
 
 def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardWeights:
@@ -167,32 +167,32 @@ def _merged(preset: RewardWeights, given: Any, reward: RewardWeights) -> RewardW
     """
     if isinstance(given, Mapping):
         return replace(preset, **{name: getattr(reward, name) for name in given})
-    told = given is not None and not reward.custom  # even if these are the defaults
-    if told or reward.built_in != RewardWeights().built_in:
+    explicit = given is not None and not reward.custom  # even if these are the defaults
+    if explicit or reward.built_in != RewardWeights().built_in:
         return reward
     return replace(preset, custom=reward.custom)
 
 
-def _say_what_is_not_covered(
+def _warn_if_uncertified(
     scenario: Scenario, guarantee: str | None, arguments: Mapping[str, Any]
 ) -> None:
-    """Log, once per scenario, the part of a guarantee that does not apply, with the reason."""
+    """Log a warning, once per scenario, if the guarantee does not apply, with the reason."""
     if guarantee is None or guarantee not in WRAPPERS:
         return
     settings = inspect.signature(FILTERS[guarantee]).parameters
-    own, told = bounded_error(scenario.sensing, scenario.dim), arguments.get("bearing_error", 0.0)
-    untold = "bearing_error" in settings and to_float(told) < own
+    own, given = bounded_error(scenario.sensing, scenario.dim), arguments.get("bearing_error", 0.0)
+    too_small = "bearing_error" in settings and to_float(given) < own
     plain = scenario.replace(reward=RewardWeights(), allow_long_step=True)
-    if (plain, guarantee, untold) in _said:
+    if (plain, guarantee, too_small) in _warned:
         return
-    _said.add((plain, guarantee, untold))
+    _warned.add((plain, guarantee, too_small))
     known = inspect.signature(certificate).parameters
     asked = {key: value for key, value in arguments.items() if key in known}
     if "min_alignment" in settings:
         asked.setdefault("min_alignment", settings["min_alignment"].default)
     found = certificate(scenario, by=guarantee, **asked)
     lacks = [] if found.guaranteed else [found.theorem.removeprefix("none: ")]
-    lacks += [f"pass bearing_error={own}, the most that bearings err by here, in rad"] * untold
+    lacks += [f"pass bearing_error={own}, the maximum bearing error here, in rad"] * too_small
     if lacks:
         words = (
             "training_env(guarantee=%r): training works, but no rendezvous is certified in %r: %s"
@@ -200,8 +200,10 @@ def _say_what_is_not_covered(
         _LOGGER.warning(words, guarantee, scenario.name, "; ".join(lacks))
 
 
-class TrainingTeams(gymnasium.vector.VectorWrapper):
-    """B environments whose robots all act and earn until the episode ends; see ``training_env``.
+class TrainingVectorEnv(gymnasium.vector.VectorWrapper):
+    """B environments in which all robots act and receive rewards until the end of the episode.
+
+    Created by ``training_env``.
 
     ``infos["robot_rewards"]``, (B, n), are robot rewards, minus ``contact_penalty`` in the step of
     a robot's first contact in an episode. ``rewards``, (B,), is the team reward minus the mean of
@@ -210,28 +212,29 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     keys in every step. ``final_obs`` and ``final_info`` occur only with SAME_STEP.
 
     Args:
-        teams: vector environment whose scenario has ``on_merge="follow"``.
+        env: vector environment whose scenario has ``on_merge="follow"``.
         contact_penalty: subtracted from ``robot_rewards``, once per episode.
     """
 
     env: RendezvousVectorEnv | GuaranteeWrapper
 
     touch_penalty = renamed_attribute("touch_penalty", "contact_penalty")
+    teams = renamed_attribute("teams", "unwrapped")
 
-    @renamed_arguments(touch_penalty="contact_penalty")
+    @renamed_arguments(teams="env", touch_penalty="contact_penalty")
     def __init__(
-        self, teams: RendezvousVectorEnv | GuaranteeWrapper, contact_penalty: float = 0.0
+        self, env: RendezvousVectorEnv | GuaranteeWrapper, contact_penalty: float = 0.0
     ) -> None:
-        super().__init__(teams)
-        base = teams.unwrapped
+        super().__init__(env)
+        base = env.unwrapped
         assert isinstance(base, RendezvousVectorEnv)
-        self.teams, self.simulator, self.scenario = base, base.simulator, base.scenario
+        self._base, self.simulator, self.scenario = base, base.simulator, base.scenario
         self.autoreset_mode = base.autoreset_mode
-        self.layout: Any = getattr(teams, "layout", self.scenario.observation_layout)
+        self.layout: Any = getattr(env, "layout", self.scenario.observation_layout)
         """Layout that splits observations (``split``): of the scenario, or of ``Features``.
         Remove the last row, which ``observe_level`` adds, first."""
         self.contact_penalty = contact_penalty
-        self._touched = np.zeros((teams.num_envs, self.scenario.n_robots), dtype=np.bool_)
+        self._touched = np.zeros((env.num_envs, self.scenario.n_robots), dtype=np.bool_)
 
     def reset(
         self,
@@ -268,7 +271,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
 
     def state(self) -> NDArray[np.float32]:
         """As ``RendezvousVectorEnv.state``."""
-        return self.teams.state()
+        return self._base.state()
 
     def get_state(self) -> dict[str, Any]:
         """Copies of the running episodes and all memory."""
@@ -283,7 +286,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
 
 
 def charge_first_contacts(
-    price: float,
+    penalty: float,
     contact: NDArray[np.bool_],
     touched: NDArray[np.bool_],
     rewards: NDArray[Any],
@@ -297,7 +300,15 @@ def charge_first_contacts(
     if not first.any():
         return rewards
     touched |= first
-    if price == 0.0:
+    if penalty == 0.0:
         return rewards
-    infos["robot_rewards"] -= price * first
-    return rewards - price * first.mean(axis=1)
+    infos["robot_rewards"] -= penalty * first
+    return rewards - penalty * first.mean(axis=1)
+
+
+def __getattr__(name: str) -> Any:
+    """Former names."""
+    if name == "TrainingTeams":
+        warn_renamed(name, "TrainingVectorEnv")
+        return TrainingVectorEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,7 +14,7 @@ from ..checks import check_action, check_int
 from ..scenario.scenarios import ScenarioLike
 from .agents import BaseParallelEnv, StepReturn, check_robots
 from .training import training_env as vector_training_env
-from .vector_env import ONE_TEAM, check_one_team
+from .vector_env import SINGLE_ENV, check_single_env
 
 
 def training_env(
@@ -27,26 +27,28 @@ def training_env(
     render_mode: str | None = None,
     **overrides: Any,
 ) -> TrainingParallelEnv:
-    """One team for a generic learner, as PettingZoo has it: that of
-    ``rendezvous_env.vector.training_env`` with B = 1, by name. Its docstring has all arguments,
-    errors, and what robots see, do and earn. A ValueError for more than one team (``num_envs``).
+    """Create a PettingZoo environment for a generic learner.
+
+    It is that of ``rendezvous_env.vector.training_env`` with B = 1 and agents by name. See there
+    for all arguments, errors, observations, actions and rewards. A ValueError if ``num_envs`` is
+    not 1.
     """
-    check_one_team(overrides, "rendezvous_env.vector.training_env")
-    teams = vector_training_env(
+    check_single_env(overrides, "rendezvous_env.vector.training_env")
+    vector_env = vector_training_env(
         scenario,
         guarantee=guarantee,
         learning_preset=learning_preset,
         flatten=flatten,
         discrete=discrete,
         render_mode=render_mode,
-        **ONE_TEAM | overrides,
+        **SINGLE_ENV | overrides,
     )
-    return TrainingParallelEnv(teams)
+    return TrainingParallelEnv(vector_env)
 
 
 class TrainingParallelEnv(
     BaseParallelEnv[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
-):  # named, since some libraries look at direct bases alone
+):  # listed, since some libraries inspect direct bases only
     """Training environment with agents by name; see ``training_env``.
 
     The agent set is fixed for an episode: a merged robot observes zeros, its action is ignored, and
@@ -55,15 +57,13 @@ class TrainingParallelEnv(
     ``contact`` and costs cover the whole decision.
 
     Args:
-        teams: ``TrainingTeams`` of one team, with ``AutoresetMode.DISABLED``.
+        vector_env: ``TrainingVectorEnv`` with B = 1 and ``AutoresetMode.DISABLED``.
     """
 
     metadata = BaseParallelEnv.metadata | {"name": "rendezvous_training_v0"}
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Step with actions of all agents, merged ones included; errors as
-        ``RendezvousParallelEnv.step``.
-        """
+        """Step with actions of all agents; errors as ``RendezvousParallelEnv.step``."""
         if self._is_over(actions):
             return {}, {}, {}, {}, {}
         names = self.agents
@@ -81,7 +81,7 @@ class TrainingParallelEnv(
             size = self._parts.shape[1]
             listed = [np.pad(action, (0, size - len(action))) for action in listed]
         table = np.stack(listed)[None]
-        observations, _, ends, cuts, infos = self.teams.step(table)
+        observations, _, ends, cuts, infos = self.vector_env.step(table)
         over, cut = bool(ends[0]), bool(cuts[0])
         if over or cut:
             self.agents = []

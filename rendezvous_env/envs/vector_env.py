@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from ..checks import bools, flag, is_int, short_repr
+from ..deprecation import renamed_attribute
 from ..engine.batch_runner import BatchController, ObservationCallback, RolloutResult
 from ..engine.memory import TIME_OUT
 from ..outcome import StepOutput
@@ -40,60 +41,60 @@ Transition = tuple[
 _DISABLED = AutoresetMode.DISABLED
 _IN_SUMMARY = (*STANDING, *(f"_{key}" for key in STANDING))
 _of_summary = itemgetter(*_IN_SUMMARY)
-ONE_TEAM: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
+SINGLE_ENV: dict[str, Any] = {"num_envs": 1, "autoreset_mode": _DISABLED}
 """Arguments of a vector environment that ``SingleEnvMixin`` holds."""
 
 
 class RendezvousVectorEnv(
     PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]
 ):
-    """B teams of n robots that see only directions and must all meet.
+    """Vectorised environment: B environments (``num_envs``) of n robots that observe bearings only.
 
-    What a robot does, sees and earns is specified in ``RendezvousParallelEnv``; here it stands in
-    arrays, freshly allocated in every step.
+    Observations, actions and rewards are specified in ``RendezvousParallelEnv``. Here they are
+    arrays, newly allocated in every step.
 
     | array | shape | |
     |---|---|---|
-    | observations | (B, n, rows, d) float32, or (B, n, rows·d) | zero for robots that are gone |
-    | actions | (B, n, a) float32 | ignored for robots that are gone and teams that have ended |
-    | rewards | (B,) float64 | of the team; bounds as in ``rendezvous_v0`` |
-    | terminations | (B,) bool | all robots have met |
-    | truncations | (B,) bool | the time limit |
+    | observations | (B, n, rows, d) float32, or (B, n, rows·d) | zero for inactive robots |
+    | actions | (B, n, a) float32 | ignored for inactive robots and ended environments |
+    | rewards | (B,) float64 | team reward; bounds as in ``RendezvousParallelEnv`` |
+    | terminations | (B,) bool | rendezvous: all robots have met |
+    | truncations | (B,) bool | time limit |
 
-    Infos are those of ``RendezvousParallelEnv`` as arrays, (B,) of teams, (B, n) of robots, each
-    with its mask ``_key`` (B,); ``summary`` is a dict of arrays. Two more:
+    Infos are those of ``RendezvousParallelEnv`` as arrays: (B,) per environment, (B, n) per robot,
+    each with a mask ``_key``, (B,). ``summary`` is a dict of arrays. Two further keys:
 
     | key | shape | |
     |---|---|---|
     | robot_rewards | (B, n) float64 | team reward of robots alive before the step, else 0 |
-    | active | (B, n) bool | the robot still exists on its own |
+    | active | (B, n) bool | the robot is active (not merged) |
 
-    A team that has ended, by ``autoreset_mode``:
+    After the end of an episode, ``autoreset_mode`` determines the next steps:
 
-    * NEXT_STEP: is reset in the next step, which ignores its action and earns nothing;
-    * SAME_STEP: is reset at once; ``final_obs`` and ``final_info`` keep how it ended;
-    * DISABLED: stands still and earns nothing until ``reset(options={"reset_mask": (B,) bool})``.
+    * NEXT_STEP: the next step resets the environment, ignores its action and returns reward 0;
+    * SAME_STEP: the same step resets it; the end is in ``final_obs`` and ``final_info``;
+    * DISABLED: robots do not move and the reward is 0 until ``reset(options={"reset_mask": (B,)
+      bool})``.
 
-    Every end is reported once, in the step that brings it: in later steps of a team that stands
-    still ``terminations`` and ``truncations`` are False, so that recorders of episodes count it
-    once. ``simulator.ended`` and ``infos["success"]`` say how such a team stands.
+    Each end is reported once: in later steps of an ended environment ``terminations`` and
+    ``truncations`` are False. ``simulator.ended`` and ``infos["success"]`` keep the final values.
 
-    ``reset(seed=s)`` gives team i the seed s + i, a list gives each its own; without a seed every
-    team goes on to the next episode of its own. Options as in ``RendezvousParallelEnv``, one for
-    all teams or, but for obstacles, with a leading axis B. ``simulator`` holds the global state for
-    analysis.
+    ``reset(seed=s)`` gives environment i the seed s + i; a list gives one seed per environment.
+    Without a seed, every environment continues with its next episode. Options are those of
+    ``RendezvousParallelEnv``, for all environments or with a leading axis B; "obstacles" apply to
+    all. ``simulator`` holds the global state for analysis.
 
     ``render()`` in "rgb_array" mode returns one image per environment, as Gymnasium's
-    ``RecordVideo`` for vector environments expects. They are tiles of one image (600, 600, 3) uint8
-    of the first 16 environments, which ``renderer.render()`` returns as a whole; further
-    environments share one blank tile.
+    ``RecordVideo`` for vector environments expects. These are tiles of one image, (600, 600, 3)
+    uint8, of the first 16 environments, which ``renderer.render()`` returns. Further environments
+    share one blank tile.
 
-    ``flatten`` concatenates the rows of a robot to one vector.
+    ``flatten`` concatenates the rows of a robot into one vector.
     """
 
     observation_space: Space[Any] = batched_space("single_observation_space")
     action_space: Space[Any] = batched_space("single_action_space")
-    closed = True  # One that is refused is not there to be closed, as Gymnasium 1.2 does at its end
+    closed = True  # if the constructor fails, so that Gymnasium 1.2 does not close it
 
     def __init__(
         self,
@@ -111,9 +112,9 @@ class RendezvousVectorEnv(
         self.outcome: StepOutput | None = None
         """Output of the last step; None before the first."""
         self.records_passage = False
-        """True if ``passage`` is kept, for guarantees with wrappers beneath them."""
+        """True if ``passage`` is recorded, for guarantee wrappers with wrappers beneath."""
         self.passage: tuple[NDArray[np.float32] | None, NDArray[np.float32]] | None = None
-        """Copies of the actions (None at a reset) and observations that passed here last."""
+        """Copies of the last actions (None after a reset) and observations."""
         self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
         self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
         self.single_action_space = team_action_box(self.scenario)
@@ -168,13 +169,13 @@ class RendezvousVectorEnv(
         """
         simulator, mode = self.simulator, self.autoreset_mode if self.autoresets else _DISABLED
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
-            actions = simulator.check_actions(actions)  # before any team is reset
+            actions = simulator.check_actions(actions)  # before any environment is reset
             simulator.restart(simulator.ended)
-        told_before = None if simulator.all_running else simulator.ended
+        reported = None if simulator.all_running else simulator.ended
         self.advance(actions)
         observations, rewards, terminations, truncations, infos = self.tell()
-        if told_before is not None:
-            terminations, truncations = terminations & ~told_before, truncations & ~told_before
+        if reported is not None:
+            terminations, truncations = terminations & ~reported, truncations & ~reported
         if not simulator.all_running:
             ended = terminations | truncations
             if add_final_info(observations, ended, infos, mode):
@@ -183,7 +184,7 @@ class RendezvousVectorEnv(
         return observations, rewards, terminations, truncations, infos
 
     def advance(self, actions: NDArray[np.float32]) -> StepOutput:
-        """Step without autoreset and without infos, which ``tell`` returns."""
+        """Step without autoreset; ``tell`` returns its observations, rewards and infos."""
         outcome = self.outcome = self.simulator.step(actions)
         if self.records_passage:
             self.passage = np.array(actions, np.float32), outcome.observations.copy()
@@ -192,23 +193,23 @@ class RendezvousVectorEnv(
 
     @property
     def can_drive(self) -> bool:
-        """True if no renderer sees every step, and ``Simulator.supports_step_n``."""
+        """True if ``drive`` is available: no render mode, and ``Simulator.supports_step_n``."""
         return self.render_mode is None and self.simulator.supports_step_n
 
     def drive(
         self,
-        pilot: BatchController,
+        controller: BatchController,
         observations: NDArray[np.float32],
         count: int,
-        show: ObservationCallback | None = None,
+        callback: ObservationCallback | None = None,
     ) -> RolloutResult:
-        """As ``advance``, ``count`` times; arguments as ``Simulator.step_n``."""
-        driven = self.simulator.step_n(pilot, observations, count, show)
-        self.outcome = driven.output
-        return driven
+        """Repeat ``advance`` ``count`` times under a controller, see ``Simulator.step_n``."""
+        result = self.simulator.step_n(controller, observations, count, callback)
+        self.outcome = result.output
+        return result
 
     def tell(self, **more: NDArray[Any]) -> Transition:
-        """Return value of ``step`` for the last step without autoreset and ``summary``.
+        """Return value of ``step`` for the last step, without autoreset and ``summary``.
 
         Infos of a wrapper, (B, ...), are added.
         """
@@ -244,14 +245,15 @@ class RendezvousVectorEnv(
         return maybe_flatten(outcome.observations, self.flatten)
 
     def state(self) -> NDArray[np.float32]:
-        """The privileged global state of every team, (B, …) float32, see ``OneTeam.state``; a row
-        is in ``single_state_space``.
+        """Global state of every environment, (B, …) float32, see ``SingleEnvMixin.state``.
+
+        It is privileged; each row is in ``single_state_space``.
         """
         return team_state(self.simulator)
 
     @property
     def np_random_seed(self) -> Any:
-        """The seeds in use, one for each team, as Gymnasium's ``SyncVectorEnv`` has them."""
+        """Seed of each environment, as in Gymnasium's ``SyncVectorEnv``."""
         return tuple(self.simulator.seeds.tolist()) if self.simulator.begun else None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -267,7 +269,7 @@ class RendezvousVectorEnv(
         self.simulator.set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Image per environment, see the class; in "human" mode they are shown side by side.
+        """One image per environment, see the class; in "human" mode they are shown.
 
         Errors as ``Renderer.render``.
         """
@@ -278,12 +280,12 @@ class RendezvousVectorEnv(
         self.renderer.close()
 
 
-def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
-    """Refuse more teams than one with a ValueError that names the vector form."""
-    teams = arguments.get("num_envs", 1)
-    if not (is_int(teams) and teams == 1):
+def check_single_env(arguments: Mapping[str, Any], vector_form: str) -> None:
+    """Raise a ValueError for several environments, with the name of the vector form."""
+    count = arguments.get("num_envs", 1)
+    if not (is_int(count) and count == 1):
         raise ValueError(
-            f"num_envs is {short_repr(teams)}; it must be 1, with {_DISABLED}: for more take "
+            f"num_envs is {short_repr(count)}; it must be 1, with {_DISABLED}; for more, use "
             f"{vector_form}"
         )
 
@@ -291,7 +293,8 @@ def check_one_team(arguments: Mapping[str, Any], vector_form: str) -> None:
 class SingleEnvMixin:
     """Mixin that exposes a vector environment with B = 1, wrapped or not, as one environment."""
 
-    teams: Any
+    vector_env: Any
+    teams = renamed_attribute("teams", "vector_env")
     simulator: Simulator
     """The global state, B = 1, for analysis."""
     scenario: Scenario
@@ -301,29 +304,29 @@ class SingleEnvMixin:
     _np_random: np.random.Generator | None = None
     _np_random_seed: int | None = None
 
-    def _hold(self, teams: Any) -> None:
-        mode = teams.metadata.get("autoreset_mode")
-        if teams.num_envs != 1 or mode is not _DISABLED:
+    def _hold(self, vector_env: Any) -> None:
+        mode = vector_env.metadata.get("autoreset_mode")
+        if vector_env.num_envs != 1 or mode is not _DISABLED:
             raise ValueError(
-                f"num_envs is {teams.num_envs} and autoreset_mode {mode}; they must be 1 and "
+                f"num_envs is {vector_env.num_envs} and autoreset_mode {mode}; they must be 1 and "
                 f"{_DISABLED}"
             )
-        self.teams, base = teams, teams.unwrapped
+        self.vector_env, base = vector_env, vector_env.unwrapped
         self.simulator, self.scenario = base.simulator, base.scenario
         self.renderer, self.render_mode = base.renderer, base.render_mode
-        own = {key: value for key, value in teams.metadata.items() if key != "autoreset_mode"}
+        own = {key: value for key, value in vector_env.metadata.items() if key != "autoreset_mode"}
         self.metadata = self.metadata | own
 
     def _reset(self, seed: Any, options: Any) -> tuple[NDArray[np.float32], Info]:
         """Start an episode; a reset mask is not an option here."""
         start = as_options(options)
         start.pop("reset_mask", None)
-        begun = self.teams.reset(seed=seed, options=start)
+        begun = self.vector_env.reset(seed=seed, options=start)
         self._note_seed(anew=seed is not None)
         return begun
 
     def _note_seed(self, *, anew: bool) -> None:
-        """Seed ``np_random`` with the seed in use, where that is another one or given ``anew``."""
+        """Seed ``np_random`` with the seed in use, if it has changed or was given ``anew``."""
         seed = int(self.simulator.seeds[0])
         if anew or seed != self._np_random_seed:
             self._np_random, self._np_random_seed = np_random(seed)
@@ -334,11 +337,11 @@ class SingleEnvMixin:
         Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
         (M·width), and the elapsed fraction of the time limit.
         """
-        return self.teams.state()[0]
+        return self.vector_env.state()[0]
 
     def get_state(self) -> dict[str, Any]:
         """Copies of the running episode and all memory, for ``set_state``."""
-        return self.teams.get_state()
+        return self.vector_env.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Restore a state of ``get_state``.
@@ -346,7 +349,7 @@ class SingleEnvMixin:
         Raises:
             ValueError: naming an entry that does not fit; the state is unchanged.
         """
-        self.teams.set_state(state)
+        self.vector_env.set_state(state)
         if self.simulator.begun:
             self._note_seed(anew=False)
 
@@ -363,17 +366,18 @@ class SingleEnvMixin:
 
 
 def add_final_info(
-    seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
+    observations: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
-    """Add to infos how these teams ended, if they are reset at once: their last observations and
-    infos, ``final_obs`` and ``final_info``; whether they are.
+    """Add ``final_obs`` and ``final_info`` to infos if ended environments are reset in this step.
+
+    Returns True if they are.
     """
     if mode is not AutoresetMode.SAME_STEP or not ended.any():
         return False
     summary = masked({key: infos[key].copy() for key in STANDING}, ended)
     final_obs = np.full(len(ended), None, dtype=object)
-    for team in np.flatnonzero(ended).tolist():
-        final_obs[team] = seen[team].copy()
+    for env in np.flatnonzero(ended).tolist():
+        final_obs[env] = observations[env].copy()
     kept = {key: value.copy() for key, value in infos.items() if key[0] != "_"}
     final_info = masked(kept | {"summary": summary}, ended)
     infos |= masked({"final_obs": final_obs, "final_info": final_info}, ended)
@@ -390,15 +394,16 @@ def final_value(infos: Info, over: NDArray[np.bool_], key: str) -> NDArray[Any]:
 
 
 def add_summary(infos: Info) -> None:
-    """Add ``summary``: the arrays of STANDING once more, and their masks; not copied, which would
-    take a tenth of the step of one team.
+    """Add ``summary``: the arrays of STANDING and their masks.
+
+    They are not copied, which would take a tenth of a step of one environment.
     """
     summary = dict(zip(_IN_SUMMARY, _of_summary(infos), strict=False))
     infos["summary"], infos["_summary"] = summary, infos["_success"]
 
 
 def drop_summary(infos: Info) -> None:
-    """Drop it: its numbers stand among the others."""
+    """Remove ``summary``, which repeats other infos."""
     infos.pop("summary", None)
     infos.pop("_summary", None)
 
@@ -416,10 +421,10 @@ def _all_masks(keys: int, num_envs: int) -> NDArray[np.bool_]:
 
 def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
     """Infos with ``_key`` for every key, from masks (keys, B)."""
-    told = infos.copy()
-    # to see whether a mask is left over, as ``strict`` would, takes as long as to hand all out
-    told.update(zip(_names_of_masks(tuple(infos)), masks, strict=False))
-    return told
+    with_masks = infos.copy()
+    # ``strict`` would double the time
+    with_masks.update(zip(_names_of_masks(tuple(infos)), masks, strict=False))
+    return with_masks
 
 
 @lru_cache
@@ -428,8 +433,8 @@ def _names_of_masks(keys: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"_{key}" for key in keys)
 
 
-def of_first_team(told: Any) -> Any:
+def of_first_env(infos: Any) -> Any:
     """Infos of environment 0 without the batch axis and masks."""
-    if isinstance(told, dict):
-        return {key: of_first_team(values) for key, values in told.items() if key[0] != "_"}
-    return told[0] if told.ndim > 1 else told[0].item()
+    if isinstance(infos, dict):
+        return {key: of_first_env(values) for key, values in infos.items() if key[0] != "_"}
+    return infos[0] if infos.ndim > 1 else infos[0].item()

@@ -33,24 +33,24 @@ from .vector_env import (
 
 
 class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
-    """``rendezvous_env.GuaranteeWrapper`` in arrays: choices (B, n, k), infos (B, n), and
-    observations (B, n, rows, d) as the filter shows them.
+    """Vectorised ``rendezvous_env.GuaranteeWrapper``: actions (B, n, k), infos (B, n).
 
-    A team that ends within a decision period stands still for the rest of it; a reset clears its
-    memory. ``env`` is a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or
-    one in wrappers. These must not change observations, actions or the form of infos, must step
-    once a step, and must not reset; this is checked, as in ``rendezvous_env.GuaranteeWrapper``.
+    Observations (B, n, rows, d) are the filter's view of the rows. The robots of an environment
+    that ends within a decision period do not move for the rest of it; a reset clears its memory.
+    ``env`` is a RendezvousVectorEnv from ``make_vec``, in any autoreset mode, wrapped or not.
+    Wrappers beneath must not change observations, actions or the form of infos. They must step once
+    per step and not reset; this is checked, as in ``rendezvous_env.GuaranteeWrapper``.
 
-    Wrappers beneath, such as recorders of episodes, see each base step. Their infos of a decision
-    are joined by the masks ``_key``: those of each environment are the last that its mask reported.
-    Steps in which an environment stands still count for nothing: arrays (B, …) that a wrapper keeps
-    as attributes are put back for it, and its rewards are not summed.
+    Wrappers beneath, such as episode recorders, receive each base step. Their infos of a decision
+    period are merged by the masks ``_key``: for each environment, the last reported ones. Steps of
+    an ended environment have no effect: its rewards are not summed, and arrays (B, …) that are
+    attributes of a wrapper are restored.
     """
 
     _base: RendezvousVectorEnv
     _wraps = gymnasium.vector.VectorEnv, RendezvousVectorEnv
     _wanted = (
-        "a RendezvousVectorEnv, as make_vec makes one (for a PettingZoo environment take "
+        "a RendezvousVectorEnv, as from make_vec (for a PettingZoo environment use "
         "rendezvous_env.{})"
     )
     _changing = VectorObservationWrapper, VectorActionWrapper
@@ -62,12 +62,12 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         return layer.single_observation_space, layer.single_action_space
 
     @staticmethod
-    def _teams_of(base: RendezvousVectorEnv) -> RendezvousVectorEnv:
+    def _vector_env_of(base: RendezvousVectorEnv) -> RendezvousVectorEnv:
         return base
 
     def _make_spaces(self, observations: Box, choices: Box) -> None:
         metadata, n = self._base.metadata, self._base.scenario.n_robots
-        rate = metadata["render_fps"] / self.decision_period  # a picture for each decision
+        rate = metadata["render_fps"] / self.decision_period  # an image for each decision
         self.metadata = metadata | {"render_fps": rate}
         self.single_observation_space = team_box(observations, n)
         self.single_action_space = team_box(choices, n)
@@ -94,20 +94,20 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
     ) -> tuple[NDArray[np.float32], Info]:
         """As ``RendezvousVectorEnv.reset``; clears the memory of environments that are reset."""
         simulator = self._base.simulator
-        knows_others = self._seen == simulator.changes or not simulator.begun
+        up_to_date = self._seen == simulator.changes or not simulator.begun
         given = as_options(options)
-        mask = given.get("reset_mask")  # before Gymnasium's recorder of statistics takes it out
+        mask = given.get("reset_mask")  # before Gymnasium's RecordEpisodeStatistics removes it
         observations, infos = self.env.reset(seed=seed, options=given)
         self._check_infos(infos)
         self._observed = observations.reshape(self._observed.shape)
         if self._checks_passage:
             self._check_passage(None, self._observed, ...)
         which = None if mask is None else np.asarray(mask)
-        if which is None or which.all() or knows_others:
+        if which is None or which.all() or up_to_date:
             self._note_seen()
         self._forget(which)
         reset = np.ones(self.num_envs, dtype=np.bool_) if which is None else which
-        return self._see(which).copy(), infos | masked(self._told(), reset)
+        return self._view(which).copy(), infos | masked(self._diagnostics(), reset)
 
     def step(self, actions: ArrayLike) -> Transition:
         """Apply the actions (B, n, k) for ``decision_period`` steps; rewards are summed.
@@ -121,7 +121,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         self._take(actions)
         base.autoresets = False
         try:
-            shown, rewards, terminations, truncations, infos = self._drive()
+            view, rewards, terminations, truncations, infos = self._step_decision()
         finally:
             base.autoresets = True
         self._note_seen()
@@ -129,55 +129,55 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
             terminations, truncations = terminations & ~resting, truncations & ~resting
         if resting is not None and mode is AutoresetMode.NEXT_STEP:
             self._autoreset(resting, infos)
-            shown = None
+            view = None
         ended = terminations | truncations
-        seen = self._see(None) if shown is None else maybe_flatten(shown, base.flatten)
-        if add_final_info(seen, ended, infos, mode):
+        observations = self._view(None) if view is None else maybe_flatten(view, base.flatten)
+        if add_final_info(observations, ended, infos, mode):
             self._autoreset(ended, infos)
-            seen[ended] = self._see(ended)[ended]
+            observations[ended] = self._view(ended)[ended]
         add_summary(infos)
-        return seen, rewards, terminations, truncations, infos
+        return observations, rewards, terminations, truncations, infos
 
     @property
-    def _pilot(self) -> BatchController | None:
+    def _controller(self) -> BatchController | None:
         """Batch controller that runs within threads; None if every step runs in Python."""
         return self.filter if self.filter.supports_multi_step else None
 
     @property
-    def _alone(self) -> bool:
-        """True if no wrapper in between hears of base steps."""
+    def _is_direct(self) -> bool:
+        """True if there is no wrapper between this one and the base environment."""
         return type(self.env) is RendezvousVectorEnv
 
-    def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
+    def _step_decision(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
         """Steps of one decision without autoreset.
 
         Returns the policy's observations (None if not computed), summed rewards, ends and infos.
         """
-        base, pilot, shown, alone = self._base, self._pilot, None, self._alone
-        if alone and pilot is not None and base.can_drive:
-            shown, show = self._viewing()
-            driven = base.drive(pilot, self._observed, self.decision_period, show)
-            self._observed = driven.output.observations
-            rewards, robot_rewards, contact = driven[1:]
+        base, controller, view, direct = self._base, self._controller, None, self._is_direct
+        if direct and controller is not None and base.can_drive:
+            view, callback = self._view_buffer()
+            result = base.drive(controller, self._observed, self.decision_period, callback)
+            self._observed = result.output.observations
+            rewards, robot_rewards, contact = result[1:]
             costs: Info = {}
         else:
-            rewards, robot_rewards, contact, costs, between, ends = self._drive_by_steps()
-        own = {"robot_rewards": robot_rewards, "contact": contact, **costs, **self._told()}
+            rewards, robot_rewards, contact, costs, between, ends = self._step_singly()
+        own = {"robot_rewards": robot_rewards, "contact": contact, **costs, **self._diagnostics()}
         _, _, terminations, truncations, infos = base.tell(**own)
-        if not alone:
+        if not direct:
             terminations, truncations = ends | (terminations, truncations)
-            infos |= {key: told for key, told in between.items() if key.lstrip("_") not in own}
-        return shown, rewards, terminations, truncations, infos
+            infos |= {key: info for key, info in between.items() if key.lstrip("_") not in own}
+        return view, rewards, terminations, truncations, infos
 
-    def _viewing(self) -> tuple[NDArray[np.float32] | None, ObservationCallback | None]:
+    def _view_buffer(self) -> tuple[NDArray[np.float32] | None, ObservationCallback | None]:
         """Buffer of the policy's observations and the function that fills it; None if unused."""
         made = self.filter
-        shown = made.new_view() if self._pilot is made else None
-        if shown is None:
+        view = made.new_view() if self._controller is made else None
+        if view is None:
             return None, None
-        return shown, lambda part, observations: made.observe_calls(part, observations, shown)
+        return view, lambda part, observations: made.observe_calls(part, observations, view)
 
-    def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Info, NDArray[np.bool_]]:
+    def _step_singly(self) -> tuple[Any, Any, Any, Info, Info, NDArray[np.bool_]]:
         """Stepwise version: rewards, robot rewards, contacts, costs, infos and ends."""
         base, simulator, shape = self._base, self._base.simulator, self._observed.shape
         rewards, robot_rewards = np.zeros(self.num_envs), np.zeros(shape[:2])
@@ -185,7 +185,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         ends = np.zeros((2, self.num_envs), np.bool_)
         costs = no_costs(base.scenario.costs, shape[:2])
         follows = base.scenario.on_merge == "follow"
-        alone, anew = self._alone, base.autoreset_mode is AutoresetMode.NEXT_STEP
+        direct, next_step = self._is_direct, base.autoreset_mode is AutoresetMode.NEXT_STEP
         for number in range(self.decision_period):
             resting = None if simulator.all_running else simulator.status != RUNNING
             if number:
@@ -193,48 +193,50 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
                 kept = DiagnosticsSnapshot(
                     self.filter.action_diagnostics, running & (follows | simulator.active)
                 )
-            if alone:
+            if direct:
                 outcome = base.advance(self._act())
-                seen, earned = outcome.observations, outcome.rewards
-                robots_earned, touched = outcome.robot_rewards, outcome.contact
+                observations, reward = outcome.observations, outcome.rewards
+                robot_reward, in_contact = outcome.robot_rewards, outcome.contact
                 cost: Info = simulator.costs
             else:
-                # the first step of a decision is the one in which NEXT_STEP resets
-                still = None if resting is None or (anew and not number) else resting
-                seen, earned, *ended, cost = self._step_between(self._act(), still)
+                # NEXT_STEP resets in the first step of a decision
+                ended_before = None if resting is None or (next_step and not number) else resting
+                step = self._step_between(self._act(), ended_before)
+                observations, reward, *ended, cost = step
                 between = joined(between, cost)
                 ends |= ended
-                robots_earned = cost["robot_rewards"]
+                robot_reward = cost["robot_rewards"]
                 assert base.outcome is not None  # there has been a step
-                touched = base.outcome.contact
-                if resting is not None:  # what wrappers add to nothing
-                    earned = np.where(resting, 0.0, earned)
-                    robots_earned = np.where(resting[:, None], 0.0, robots_earned)
-            self._observed = seen.reshape(shape)
+                in_contact = base.outcome.contact
+                if resting is not None:  # rewards that wrappers add after the end
+                    reward = np.where(resting, 0.0, reward)
+                    robot_reward = np.where(resting[:, None], 0.0, robot_reward)
+            self._observed = observations.reshape(shape)
             if number:
                 kept.restore()
             if self.filter.uses_feedback:
-                self.filter.update(touched, simulator.copy_of_merged(), resting)
-            rewards += earned
-            robot_rewards += robots_earned
-            contact |= touched
+                self.filter.update(in_contact, simulator.copy_of_merged(), resting)
+            rewards += reward
+            robot_rewards += robot_reward
+            contact |= in_contact
             for key, total in costs.items():
                 total += cost[key]
         return rewards, robot_rewards, contact, costs, between, ends
 
-    def _step_between(self, actions: NDArray[np.float32], still: NDArray[np.bool_] | None) -> Any:
-        """A base step through the wrappers beneath, in which environments that stand ``still``,
-        (B,), leave no trace in what these keep.
+    def _step_between(self, actions: NDArray[np.float32], ended: NDArray[np.bool_] | None) -> Any:
+        """Make a base step through the wrappers beneath.
+
+        It does not change their attributes in environments that have ``ended``, (B,).
         """
         simulator, given = self._base.simulator, actions.copy()
         acting = simulator.active & (simulator.status == RUNNING)[:, None]
-        kept = None if still is None else RowsOfWrappers(self.env, still)
-        told = self._step_beneath(actions)
+        kept = None if ended is None else RowsOfWrappers(self.env, ended)
+        returned = self._step_beneath(actions)
         if self._checks_passage:
-            self._check_passage(given, told[0].reshape(self._observed.shape), acting)
+            self._check_passage(given, returned[0].reshape(self._observed.shape), acting)
         if kept is not None:
             kept.put_back()
-        return told
+        return returned
 
     def _autoreset(self, which: NDArray[np.bool_], infos: Info) -> None:
         """Reset the given environments and update observations and infos."""
@@ -245,7 +247,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
             infos[key][which] = values[which]
         self._note_seen()
 
-    def _told(self) -> Info:
+    def _diagnostics(self) -> Info:
         return {key: values.copy() for key, values in self.filter.diagnostics.items()}
 
     def _take(self, actions: ArrayLike) -> None:
@@ -256,10 +258,10 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         """Actions of the next step."""
         return self.filter.apply(self._observed)
 
-    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+    def _view(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """Writable observations of the policy, (B, n, ...), updated for a mask (None: all)."""
-        seen = self.filter.observe(self._observed)
-        own = seen.copy() if np.may_share_memory(seen, self._observed) else seen
+        view = self.filter.observe(self._observed)
+        own = view.copy() if np.may_share_memory(view, self._observed) else view
         return maybe_flatten(own, self._base.flatten)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
@@ -268,9 +270,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
 
 
 class RowsOfWrappers:
-    """Rows, for a mask (B,), of the arrays (B, …) that wrappers over a RendezvousVectorEnv keep as
-    attributes.
-    """
+    """Copies of the masked rows of all arrays (B, …) that are attributes of wrappers."""
 
     def __init__(self, env: Any, which: NDArray[np.bool_]) -> None:
         self._which = which
@@ -283,7 +283,7 @@ class RowsOfWrappers:
         ]
 
     def put_back(self) -> None:
-        """Put the rows back, in arrays of the wrapper's own."""
+        """Restore the rows, in new arrays."""
         for layer, name, before in self._kept:
             now = getattr(layer, name)
             if isinstance(now, np.ndarray) and now.shape == before.shape:
@@ -292,22 +292,25 @@ class RowsOfWrappers:
                 setattr(layer, name, now)
 
 
-def joined(before: Info, told: Info) -> Info:
-    """Infos of two steps as one: of each environment those of the later step in which it has any,
-    by the masks ``_key``, (B,); without a mask those of the later step.
+def joined(before: Info, after: Info) -> Info:
+    """Merge the infos of two steps.
+
+    Each environment has the latest with a True mask ``_key``, (B,). Infos without a mask are those
+    of the later step.
     """
-    found = before | told
-    for key in before.keys() & told.keys():
-        mask, earlier = told.get(f"_{key}"), before.get(f"_{key}")
+    found = before | after
+    for key in before.keys() & after.keys():
+        mask, earlier = after.get(f"_{key}"), before.get(f"_{key}")
         if mask is not None and earlier is not None and not mask.all():
-            found[key] = _where(mask, told[key], before[key])
+            found[key] = _where(mask, after[key], before[key])
             found[f"_{key}"] = mask | earlier
     return found
 
 
 def _where(mask: NDArray[np.bool_], values: Any, others: Any) -> Any:
-    """Rows of arrays (B, …), nested in dicts or not, where the mask is True, else those of others;
-    what is no such array as it is.
+    """Rows of arrays (B, …) where the mask is True, else those of ``others``.
+
+    Dicts are merged recursively; other values are returned unchanged.
     """
     if isinstance(values, dict) and isinstance(others, dict):
         both = values.keys() & others.keys()

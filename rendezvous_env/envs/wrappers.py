@@ -47,8 +47,8 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
     _base: RendezvousParallelEnv
     _wraps = ParallelEnv, RendezvousParallelEnv
     _wanted = (
-        "a PettingZoo parallel environment that parallel_env has made (for a vector environment "
-        "take rendezvous_env.vector.{})"
+        "a PettingZoo parallel environment from parallel_env (for a vector environment "
+        "use rendezvous_env.vector.{})"
     )
 
     @staticmethod
@@ -59,8 +59,8 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
         ]
 
     @staticmethod
-    def _teams_of(base: RendezvousParallelEnv) -> RendezvousVectorEnv:
-        return base.teams
+    def _vector_env_of(base: RendezvousParallelEnv) -> RendezvousVectorEnv:
+        return base.vector_env
 
     def _make_spaces(self, observations: Box, choices: Box) -> None:
         metadata, names = self._base.metadata, self._base.possible_agents
@@ -90,7 +90,7 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
         if self._checks_passage:
             self._check_passage(None, self._observed, ...)
         self._note_seen()
-        self._add_told(infos)
+        self._add_diagnostics(infos)
         return self._view(observations), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
@@ -109,24 +109,24 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
         for _ in range(self.decision_period):
             table, acting = self.filter.apply(self._observed)[0], simulator.active
             chosen = {name: table[self._base.index(name)].copy() for name in self.agents}
-            seen, earned, ended, cut, told = self._step_beneath(chosen)
-            self._remember(seen)
+            rows, reward, terminated, truncated, new_infos = self._step_beneath(chosen)
+            self._remember(rows)
             if self._checks_passage:
                 self._check_passage(table[None], self._observed, acting)
             if self.filter.uses_feedback:
-                touched = self._base.teams.outcome.contact  # a wrapper between may tell another
-                self.filter.update(touched, simulator.copy_of_merged())
-            self._add_told(told)
-            for name, info in told.items():
-                rewards[name] += earned[name]
-                before = infos.get(name, {})  # a wrapper between may tell nothing
+                contact = self._base.vector_env.outcome.contact  # wrappers may change infos
+                self.filter.update(contact, simulator.copy_of_merged())
+            self._add_diagnostics(new_infos)
+            for name, info in new_infos.items():
+                rewards[name] += reward[name]
+                before = infos.get(name, {})  # wrappers may omit infos
                 info["contact"] = info.get("contact", False) or before.get("contact", False)
                 for key in simulator.costs:
                     info[key] += before.get(key, 0.0)
-            infos |= told
-            terminations |= ended
-            truncations |= cut
-            observations |= seen
+            infos |= new_infos
+            terminations |= terminated
+            truncations |= truncated
+            observations |= rows
             if not self.agents:
                 break
         self._note_seen()
@@ -141,12 +141,12 @@ class GuaranteeWrapper(FilterWrapperMixin, SpacesByName[Box], BaseParallelWrappe
             choices[0, self._base.index(name), own] = action
         return choices
 
-    def _add_told(self, infos: Infos) -> None:
-        """Add the filter's infos of the last step."""
-        told = {key: values[0].tolist() for key, values in self.filter.diagnostics.items()}
+    def _add_diagnostics(self, infos: Infos) -> None:
+        """Add the filter's diagnostics of the last step."""
+        found = {key: values[0].tolist() for key, values in self.filter.diagnostics.items()}
         for name, info in infos.items():
             i = self._base.index(name)
-            info.update({key: values[i] for key, values in told.items()})
+            info.update({key: values[i] for key, values in found.items()})
 
     def _remember(self, observations: Observations) -> None:
         """Store the current observations, zero for merged robots."""
@@ -191,7 +191,7 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
       kept.
     * Infos: ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0, and at a reset) and
       ``lyapunov_rate`` = −2 (h_iᵀf_i)², m²/s², with a ``bearing_error`` −2 h_iᵀf_i max(0, h_iᵀf_i −
-      e_i): of velocities as they are before they are scaled to the step or the speed limit.
+      e_i): of velocities before scaling to the step or the speed limit.
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
@@ -213,15 +213,15 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     is zero), which fills the tank. On a fixed, connected, undirected graph, with bearing errors of
     at most ``bearing_error``, V ≤ V(0) + n·budget until the first merge. Without obstacles
     rendezvous then occurs in finite time for any policy (theorem D). Other graphs and sensors are
-    accepted without this guarantee; see ``certificate``. In a step with contact a robot books
-    min(0, G_i), so the bound on V holds for motion without contacts. A survivor inherits the sum of
-    both tanks; on complete graphs of equal weights without obstacles, all stored energies also
-    shrink at a merge (guarantees 8).
+    accepted without this guarantee; see ``certificate``. In a step with contact the tank is updated
+    by min(0, G_i), so the bound on V holds for motion without contacts. After a merge, the
+    surviving robot has the sum of both tanks; on complete graphs of equal weights without
+    obstacles, all stored energies also shrink at a merge (guarantees 8).
 
     * Actions: ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the observed frame,
       limited to v_max. For other robot models the base action in units of its bounds. For
-      nonholonomic robots the ledger has no term ε², and there is no time bound; with an empty tank
-      they drive with v = s mᵀf and turn through the gate of theory 3.
+      nonholonomic robots G_i has no term ε², and there is no time bound; with an empty tank they
+      drive with v = s mᵀf and turn through the gate of theory 3.
     * Observations: as ``HeadingVectorWrapper``. ``observe_level`` appends a row (A_i/(r D̄), 0, …),
       the robot's stored energy in units of twice the maximum gain of a step. A robot computes it
       from its own past without a sensor.

@@ -32,17 +32,17 @@ class DirectedGraph(Graph, kinds=("directed", "directed_cycle")):
 
 @known_arguments
 def directed(arcs: Any, n_robots: int | None = None) -> Graph:
-    """Robot i sees robot j where there is a directed edge (i, j); j need not see i.
+    """Directed graph: with an edge (i, j), robot i observes robot j; j need not observe i.
 
     Args:
-        arcs: an (n, n) matrix of weights, row i what robot i gives to those it sees, m/s, 0 = no
-            edge; or a list of (i, j) or (i, j, weight), weight 1 m/s if not given. An array, a
+        arcs: an (n, n) matrix of weights a_ij of robot i for the robots it observes, m/s, 0 = no
+        edge; or a list of (i, j) or (i, j, weight), weight 1 m/s if not given. An array, a
             sparse matrix or a square list of lists is a matrix, tuples are edges. Or a networkx
             graph, each edge of an undirected one in both directions.
         n_robots: for a list of edges; without it the largest index is the last robot's.
 
     Raises:
-        ValueError: naming the edge or the entry that is wrong.
+        ValueError: naming the invalid edge or entry.
     """
     is_table = isinstance(arcs, list) and all(
         isinstance(row, list | np.ndarray) and len(row) == len(arcs) for row in arcs

@@ -87,10 +87,10 @@ def star(weight: Weight = 1.0) -> Graph:
 def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) -> Graph:
     """Graph from edges (i, j) or (i, j, weight) with indices from 0; default weight 1 m/s.
 
-    An undirected networkx graph, or a view of its edges, is taken too; "weight" is a_ij, m/s.
+    Also accepts an undirected networkx graph, or a view of its edges; "weight" is a_ij, m/s.
 
     Raises:
-        ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
+        ValueError: for a loop, a repeated edge, an index out of range or an invalid weight.
     """
     if is_networkx(edges) and n_robots is None:
         return from_networkx("edges", edges)
@@ -101,8 +101,8 @@ def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) ->
 def from_matrix(weights: Any) -> Graph:
     """Graph from a symmetric (n, n) matrix of weights a_ij, m/s; 0 = no edge.
 
-    The matrix is an array or a sparse matrix of SciPy; a_ij and a_ji may differ by rounding, and
-    count as their mean then.
+    The matrix is an array or a sparse matrix of SciPy; if a_ij and a_ji differ by rounding, their
+    mean is used.
 
     Raises:
         ValueError: naming the entry that is not finite, negative, on the diagonal or not symmetric.

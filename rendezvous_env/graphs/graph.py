@@ -24,7 +24,7 @@ GraphLike = Any
 """A Graph, the name of a kind, a matrix of weights, an edge list, a networkx graph, plain data."""
 LinkArrays = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 """Edges: robots (E,), (E,), weights (E,), m/s; for directed ones observer and observed robot."""
-_LARGE_TEAM = 48  # robots from which a step is made for what they see rather than for all merges
+_LARGE_TEAM = 48  # number of robots from which the default step follows D_i before merges
 KINDS: dict[str, type[Graph]] = {}
 """Class by kind of graph."""
 
@@ -197,18 +197,19 @@ class Graph:
         return [list(group) for group in _groups(self, n, matrices.closed_groups)]
 
     def connectivity_error(self, n: int) -> str | None:
-        """Reason why rendezvous is impossible on this graph (theorem 1), or not guaranteed if it is
-        directed or time-varying (guarantees, section 10); None if there is none.
+        """Reason why rendezvous is impossible (theorem 1) or not guaranteed; None without one.
+
+        It is not guaranteed on some directed or time-varying graphs (guarantees, section 10).
         """
         pieces = self.components(n) if self.undirected else self.closed_groups(n)
         listed = " and ".join(map(str, pieces))
         if len(pieces) == 1:
             return None
         if self.undirected:
-            return f"it falls into {listed}, which can never meet (theorem 1); join them by an edge"
+            return f"components {listed} can never meet (theorem 1); connect them by an edge"
         return (
-            f"{listed} each see nobody outside their own group, and so need not meet (guarantees, "
-            "section 10); let some robot be reached from all"
+            f"{listed} observe no robot outside their own group, so they need not meet "
+            "(guarantees, section 10); some robot must be reachable from all others"
         )
 
     def numbers(self, n: int) -> GraphNumbers:
@@ -252,7 +253,7 @@ class Graph:
         return plain
 
 
-@lru_cache(maxsize=16)  # as long as the team: of the last ones a certificate asks again and again
+@lru_cache(maxsize=16)  # cached, since certificates need it repeatedly
 def _groups(graph: Graph, n: int, found_by: Callable[[Any], list[list[int]]]) -> list[list[int]]:
     return found_by(graph.sparse_weights(n))
 
@@ -283,12 +284,12 @@ def parse(value: Any, n: int | None = None) -> Graph:
     except ValueError as error:
         if plain is value:
             raise
-        made = f"more than its name, as rendezvous_env.graphs makes it: {error}"
+        made = f"created by rendezvous_env.graphs, not given by name: {error}"
         raise ValueError(f"graph: {short_repr(value)} needs {made}") from error
 
 
 def _of_links(value: Any, n: int | None) -> Graph:
-    """A graph from a networkx graph, an edge list or a matrix, whichever it can be."""
+    """Graph from a networkx graph, an edge list or a matrix."""
     if reading.is_networkx(value):
         return from_networkx("directed" if value.is_directed() else "edges", value)
     if (rows := reading.edge_rows(value)) is None:
@@ -311,7 +312,7 @@ def _of_links(value: Any, n: int | None) -> Graph:
 
 
 def _of_matrix(value: Any) -> Graph:
-    """A graph from what is no edge list; what is no square matrix either has a remedy."""
+    """Graph from a matrix; the error for other values has a remedy."""
     try:
         return from_matrix_of("edges", value)
     except ValueError as error:
@@ -321,7 +322,7 @@ def _of_matrix(value: Any) -> Graph:
 
 
 def from_networkx(kind: str, graph: Any) -> Graph:
-    """A graph with listed edges from one of networkx, whose attribute "weight" is a_ij, m/s."""
+    """Graph with listed edges from a networkx graph with the attribute "weight" as a_ij, m/s."""
     directed, edges = class_of(kind).directed, reading.networkx_edges(graph)
     if graph.is_directed() and not directed:
         checks.raise_invalid("graph", graph, "undirected; graphs.directed takes directed graphs")

@@ -8,8 +8,8 @@ For directed links, a pair merges if either robot observes the other. A link the
 weight of a_ij and a_ji, so that V of the links equals that of the arcs; ``arcs`` holds both.
 
 By default robots merge through obstacles. Otherwise a pair without line of sight remains two
-robots, nearer than r, until nothing is between them. The theorems about V (A, C, D and the bounds
-on V) need links of r or more, and do not hold for such pairs.
+robots, nearer than r, until no obstacle is between them. The theorems about V (A, C, D and the
+bounds on V) need links of r or more, and do not hold for such pairs.
 """
 
 import numpy as np
@@ -113,7 +113,7 @@ def _comes_before(first, second, e, best):
 
 @inner_kernel
 def _earliest(moments, first, second, resting):
-    """The link whose robots meet first, of those with both robots moving; −1 if there is none."""
+    """Link whose robots meet first, of those with both robots moving; −1 without one."""
     moment, best = np.inf, -1
     for e in range(len(first)):
         if moments[e] <= moment and moments[e] <= 1.0:
@@ -135,7 +135,7 @@ def _may_merge(i, j, positions, world, through):
 
 @inner_kernel
 def _nearest_within(positions, links, radius, world, through):
-    """The shortest link that is shorter than r and may merge; −1 if there is none."""
+    """Shortest link below r that may merge; −1 without one."""
     first, second, weight = links
     nearest, best = radius * radius, -1
     for e in range(len(first)):

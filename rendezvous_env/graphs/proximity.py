@@ -27,16 +27,17 @@ class ProximityGraph(CompleteGraph, kinds=("proximity",)):
             if isinstance(given := getattr(sensing, name), tuple):
                 raise ValueError(
                     f"sensing.{name} is {list(given)}; it must be one number for all robots with a "
-                    "proximity graph, whose links follow it, or take a fixed graph"
+                    "proximity graph, whose links follow it, or use a fixed graph"
                 )
         if sensing.range is None and sensing.field_of_view == type(sensing)().field_of_view:
             raise ValueError(
-                "graph: proximity links whom a robot sees, and these see everyone; give sensing a "
+                "graph: proximity links follow visibility, which has no limits here; give "
+                "sensing a "
                 "range or a field_of_view, or take graphs.complete()"
             )
         if (reach := self.start_reach(scenario)) <= 2.0 * scenario.merge_radius:
             raise ValueError(
-                f"sensing.range is {sensing.range}; at the start links of 2 merge_radius or longer "
+                f"sensing.range is {sensing.range}; initial links of 2 merge_radius or longer "
                 f"must stay below range − (n − 1) merge_radius/2 = {reach:.6g} m (guarantees, "
                 "section 12); enlarge it, take fewer robots or a smaller merge_radius, or pass "
                 "require_connected=False"

@@ -26,8 +26,7 @@ _NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 class DrawnGraph(CompleteGraph):
     """Family of connected random graphs.
 
-    Unless a subclass knows better, quantities are those of the complete graph and a* is the minimum
-    weight.
+    By default quantities are those of the complete graph and a* is the minimum weight.
     """
 
     fixed: ClassVar[bool] = False
@@ -95,14 +94,14 @@ class CustomFamily(DrawnGraph):
         try:
             drawn = read_edges(FAMILIES[self.kind](n, random))
             if any(weight != 1.0 for *_, weight in drawn):
-                raise ValueError("graph: weights are drawn from weight_range; give edges as (i, j)")
+                raise ValueError("graph: weights come from weight_range; give edges as (i, j)")
             edges = checked_edges(drawn, n, directed=False)
         except ValueError as error:
-            raise ValueError(f"family {self.kind!r} drew for {n} robots: {error}") from error
+            raise ValueError(f"family {self.kind!r} for {n} robots: {error}") from error
         low, high = self.weight_range
         why = Graph("edges", edges=edges, n_nodes=n).connectivity_error(n) if connected else None
         if why is not None:
-            raise ValueError(f"family {self.kind!r} drew a graph that is not connected: {why}")
+            raise ValueError(f"family {self.kind!r} returned a graph that is not connected: {why}")
         return edges.first, edges.second, low + (high - low) * random.random(len(edges))
 
 
@@ -132,7 +131,7 @@ class GraphRules(NamedTuple):
     """Sampling rules of a random graph, or of random weights on a fixed graph."""
 
     topology: int  # FIXED_EDGES, RANDOM_TREE or ERDOS_RENYI
-    probability: float  # chance of a link, for ERDOS_RENYI
+    probability: float  # probability of a link, for ERDOS_RENYI
     weight_range: tuple[float, float]  # each weight is multiplied by a number from this range
     first: NDArray[np.int64]  # (E,), the lower robots of FIXED_EDGES, sorted
     second: NDArray[np.int64]  # (E,), the others

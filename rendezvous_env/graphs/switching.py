@@ -16,7 +16,7 @@ def _check_graphs(field: str, value: Any) -> tuple[Graph, ...]:
         raise_invalid(field, value, "a list of graphs")
     listed = []
     for k, given in enumerate(value):
-        # looked at before it is parsed: tables could be nested without end
+        # checked before parsing, since tables could be nested infinitely
         if isinstance(given, Mapping) and given.get("kind") == "switching":
             raise ValueError(f"{field}[{k}] is itself a switching graph; list its graphs instead")
         graph = parse(given)
@@ -59,7 +59,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.weight_range != (1.0, 1.0):
-            raise ValueError("graph: a switching graph has the weights of its list, and no others")
+            raise ValueError("graph: a switching graph has only the weights of its list")
 
     def check_fits(self, scenario: Any) -> None:
         """Raise a ValueError if the dwell time is shorter than a step."""

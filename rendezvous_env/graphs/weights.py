@@ -10,7 +10,7 @@ from ..checks import check_shape, is_int, raise_invalid, short_repr, to_float
 from ..limits import LARGEST, SMALLEST
 from .reading import as_matrix, is_networkx, networkx_edges, rows_of, weight_of
 
-_ROUNDING = 1e-6  # share by which a_ij and a_ji may differ: matrices come in float32, too
+_ROUNDING = 1e-6  # relative difference of a_ij and a_ji, for float32 matrices
 
 
 class Edges:
@@ -47,12 +47,13 @@ class Edges:
 
 
 def read_edges(edges: Any) -> tuple[tuple[int, int, float], ...]:
-    """Edges as they are given: (i, j), of weight 1 m/s, or (i, j, weight), the weight a number or
-    the attributes that networkx has.
+    """Parse given edges: (i, j), of weight 1 m/s, or (i, j, weight).
+
+    The weight is a number, or the attributes of a networkx edge.
     """
     if is_networkx(edges):
         return tuple(map(_as_edge, networkx_edges(edges)))
-    scalar = isinstance(edges, np.ndarray) and edges.ndim == 0  # says that it can be iterated
+    scalar = isinstance(edges, np.ndarray) and edges.ndim == 0  # claims to be iterable
     if isinstance(edges, str | bytes) or not isinstance(edges, Iterable) or scalar:
         raise_invalid("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")
     return tuple(map(_as_edge, rows_of(edges)))
@@ -87,7 +88,7 @@ def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:
     if isinstance(edges, Edges):
         first, second, weight = edges.first, edges.second, edges.weight
     else:
-        for i, j, _ in edges:  # too large ones have no place in an array
+        for i, j, _ in edges:  # too large for an array
             if not (0 <= i < n and 0 <= j < n):
                 _refuse_edge(i, j, n)
         table = np.array(edges, dtype=np.float64).reshape(-1, 3)
@@ -112,9 +113,9 @@ def _refuse_edge(i: int, j: int, n: int) -> None:
 def weighted_links(
     weights: Any, n: int | None = None, field: str = "graph", *, directed: bool = False
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """The links of an (n, n) matrix of weights, an array or a sparse one: robots (E,), (E,), and
-    a_ij (E,), m/s; of undirected ones i < j, and the mean of a_ij and a_ji where rounding makes
-    them differ.
+    """Links of an (n, n) matrix of weights, an array or sparse: robots (E,), (E,), a_ij (E,), m/s.
+
+    Undirected links have i < j, and the mean of a_ij and a_ji if they differ by rounding.
 
     Raises:
         ValueError: naming the first entry that is not finite, negative, out of the limits, on the
@@ -127,7 +128,7 @@ def weighted_links(
     found, mirrored = (np.ravel(matrix[at]) for at in ((first, second), (second, first)))
     uneven = np.zeros(len(found), bool)
     if not directed:
-        with np.errstate(invalid="ignore"):  # of infinite ones
+        with np.errstate(invalid="ignore"):  # for infinite weights
             uneven = np.abs(found - mirrored) > _ROUNDING * np.maximum(found, mirrored)
     reasons = (
         (~np.isfinite(found), "must be finite"),
@@ -154,7 +155,7 @@ def weighted_links(
     return first[upper].astype(np.int64), second[upper].astype(np.int64), mean
 
 
-# Weights are an (n, n) matrix, an array or a sparse one of SciPy's; the work follows the edges.
+# Weights are an (n, n) array or sparse matrix of SciPy; the work is proportional to the edges.
 
 
 def sparse(weights: Any) -> Any:
@@ -163,7 +164,7 @@ def sparse(weights: Any) -> Any:
 
     if issparse(weights):
         return weights
-    # of dense ones SciPy itself drops small weights
+    # SciPy drops small weights of dense matrices
     return csr_array(np.where(weights > 0, weights, 0.0))
 
 

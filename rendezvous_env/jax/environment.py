@@ -30,16 +30,16 @@ from ..scenario.start_options import seeds_of_environments
 from ..sensors.imperfections import imperfections_of
 from .arrays.array_form import Array, array_form, norm_of
 from .arrays.selection import divided
-from .arrays.some_teams import for_teams
+from .arrays.some_envs import for_envs
 from .coverage import check_covered, raise_not_covered
 from .filters.heading import Heading
 from .filters.tank import Tank
-from .imperfections import Sensor, delayed
-from .merging import Merging, Moving
+from .imperfections import SensorModel, delayed
+from .initial_conditions import InitialConditionSampler
+from .merging import MergeArrays, Merging
 from .obstacles.contact import ObstacleContact
 from .obstacles.fields import Fields
 from .sensing import clearances, lyapunov, sense, sense_obstacles
-from .starts import Starts
 
 Info = dict[str, Array]
 
@@ -131,9 +131,9 @@ class RendezvousJaxEnv:
         self._motion = {name: array_form(getattr(motion, name)) for name in _EQUATIONS}
         has_obstacles = scenario.observation_layout.obstacle_slots > 0
         self._fields = Fields(scenario, self._dtype) if has_obstacles else None
-        self._starts = Starts(scenario, self._fields, self._dtype)
+        self._starts = InitialConditionSampler(scenario, self._fields, self._dtype)
         exact = imperfections_of(scenario.sensing) is None
-        self._sensor = None if exact else Sensor(scenario)
+        self._sensor = None if exact else SensorModel(scenario)
         one_way = scenario.sensing_graph.directed
         self._merge = Merging(
             n,
@@ -154,14 +154,14 @@ class RendezvousJaxEnv:
     @property
     def observation_space(self) -> Space[Any]:
         """Observations (n, rows, d), or (B, n, rows, d)."""
-        return self._of_teams(self.single_observation_space)
+        return self._batched(self.single_observation_space)
 
     @property
     def action_space(self) -> Space[Any]:
         """Actions (n, a), or (B, n, a)."""
-        return self._of_teams(self.single_action_space)
+        return self._batched(self.single_action_space)
 
-    def _of_teams(self, space: Space[Any]) -> Space[Any]:
+    def _batched(self, space: Space[Any]) -> Space[Any]:
         return space if self.num_envs is None else batch_space(space, self.num_envs)
 
     def reset(self, seed: Any) -> tuple[Array, State]:
@@ -249,7 +249,7 @@ class RendezvousJaxEnv:
         if self._filter is not None:
             begun = begun.replace(guarantee=self._forgotten())
         seen, state = self._look(begun)
-        return self._told(seen), state.replace(initial_lyapunov=state.lyapunov)
+        return self._env_first(seen), state.replace(initial_lyapunov=state.lyapunov)
 
     def _no_past(self) -> Any:
         delay, sensed = self.scenario.delay_steps, self.scenario.observation_layout.obstacles.stop
@@ -268,7 +268,7 @@ class RendezvousJaxEnv:
         assert self._filter is not None
         return self._filter.begin(n, d, self._batch, self._dtype)
 
-    def _told(self, rows: Array) -> Array:
+    def _env_first(self, rows: Array) -> Array:
         """Rows (n, rows, d, *batch) with the environment axis first."""
         return jnp.moveaxis(rows, -1, 0) if self._batch else rows
 
@@ -288,15 +288,15 @@ class RendezvousJaxEnv:
         steps = state.steps + running
         met = running & (jnp.sum(active, axis=0) == 1)
         over = running & ~met & (steps >= self.scenario.max_steps)
-        ended, told = met | over, {}
+        ended, infos = met | over, {}
         status = jnp.where(met, RENDEZVOUS, jnp.where(over, TIME_OUT, state.status))
         state = state.replace(steps=steps, status=status.astype(jnp.int32))
-        told["time"] = steps * self.scenario.tau
-        told["path_length"], told["success"] = state.path_length, state.status == RENDEZVOUS
-        told["contacts"] = state.contacts
+        infos["time"] = steps * self.scenario.tau
+        infos["path_length"], infos["success"] = state.path_length, state.status == RENDEZVOUS
+        infos["contacts"] = state.contacts
         if self.autoreset:
-            last, state, told_last = self._end(state, ended)
-            told |= told_last
+            last, state, last_infos = self._end(state, ended)
+            infos |= last_infos
         seen, state = self._look(state, running)
         now, closeness = state.lyapunov, self._closeness(state)
         if self.autoreset:
@@ -305,7 +305,7 @@ class RendezvousJaxEnv:
             contact &= ~ended
             first = jnp.where(ended, state.lyapunov, state.initial_lyapunov)
             state = state.replace(initial_lyapunov=first)
-        told["lyapunov"] = now
+        infos["lyapunov"] = now
         reward = array_form(team_reward)(
             divided(before.lyapunov - now, before.initial_lyapunov),
             1.0 / self.scenario.max_steps, touched.astype(self._dtype), closeness, met,
@@ -313,16 +313,16 @@ class RendezvousJaxEnv:
         )  # fmt: skip
         reward = jnp.where(running, reward, 0.0)
         follows = self.scenario.on_merge == "follow"
-        earned = jnp.where(follows | took_part, reward, 0.0)
-        told |= {
-            "robot_rewards": self._told(earned),
-            "active": self._told(state.merged_into == self._robots),
-            "merged_into": self._told(state.merged_into),
-            **{key: self._told(cost) for key, cost in costs.items()},
-            "contact": self._told(contact),
-            "clearance": self._told(state.clearance),
+        robot_rewards = jnp.where(follows | took_part, reward, 0.0)
+        infos |= {
+            "robot_rewards": self._env_first(robot_rewards),
+            "active": self._env_first(state.merged_into == self._robots),
+            "merged_into": self._env_first(state.merged_into),
+            **{key: self._env_first(cost) for key, cost in costs.items()},
+            "contact": self._env_first(contact),
+            "clearance": self._env_first(state.clearance),
         }
-        return self._told(seen), state, reward, met, over, told
+        return self._env_first(seen), state, reward, met, over, infos
 
     def _costs(self, contact: Array) -> Info:
         """Costs of the step by key, (n, *batch), as ``rewards.costs``."""
@@ -333,15 +333,15 @@ class RendezvousJaxEnv:
             costs["cost"] = sum(costs.values(), jnp.zeros_like(each["contact"]))
         return costs
 
-    def _closeness(self, state: State, anew: bool = False) -> Array:
+    def _closeness(self, state: State, recompute: bool = False) -> Array:
         """Σ_i max(0, 1 − clearance_i/range), see ``team_reward``; 0 where it has no weight.
 
-        ``anew`` is whether the clearances have to be computed.
+        ``recompute`` is whether the clearances have to be computed.
         """
         if self._fields is None or self.scenario.reward.clearance_penalty == 0.0:
             return jnp.zeros_like(state.lyapunov)
         clearance = state.clearance
-        if anew:
+        if recompute:
             world = self._fields.world(state.obstacles, state.status.ndim)
             active = state.merged_into == self._robots
             clearance = clearances(self._fields.shapes, world, state.positions, active)
@@ -390,13 +390,13 @@ class RendezvousJaxEnv:
             way = tuple(ways[:, k] for k in range(ways.shape[1]))
             length = jnp.where(contact, norm_of(way), length)
             met = jnp.where(contact, self._contact.outcome, FREE)
-        moving = Moving(
+        moving = MergeArrays(
             state.positions, ways, length, state.weights, state.merged_into, state.obstacles
         )
         reach = (self.scenario.merge_radius + 2.0 * jnp.max(length, axis=0)) * _ROUNDING
         near = (state.status == RUNNING) & (state.closest < reach * reach)
         free = moving._replace(positions=moving.positions + moving.displacements, obstacles=())
-        moved = for_teams(near, self._merge, moving, free, self.differentiable)
+        moved = for_envs(near, self._merge, moving, free, self.differentiable)
         if kept:
             after = self._motion["update"](self._model, inputs, frame, kept, way, met)
             runs = state.status == RUNNING
@@ -416,7 +416,7 @@ class RendezvousJaxEnv:
         Also returns V and closeness at its end, and its last observations.
         """
         changing = "positions", "frames", "memory", "weights", "obstacles"
-        team = {name: getattr(state, name) for name in changing}
+        begun = {name: getattr(state, name) for name in changing}
         zero, seen = jnp.zeros_like(state.lyapunov), {}
         if self.final_obs:
             shape = (*(self.single_observation_space.shape or ()), *self._batch)
@@ -425,15 +425,15 @@ class RendezvousJaxEnv:
         def renew(old: State) -> Any:
             new = self._starts(old.seed, old.episode + 1)._asdict()
             if not self.final_obs:
-                last = lyapunov(old.positions, old.weights), self._closeness(old, anew=True)
+                last = lyapunov(old.positions, old.weights), self._closeness(old, recompute=True)
                 return last, new, {}
             rows, after = self._look(old, jnp.ones(old.status.shape, bool))
             return (after.lyapunov, self._closeness(after)), new, {"final_obs": rows}
 
-        otherwise = (zero, zero), team, seen
-        last, team, seen = for_teams(ended, renew, state, otherwise, self.differentiable)
+        otherwise = (zero, zero), begun, seen
+        last, begun, seen = for_envs(ended, renew, state, otherwise, self.differentiable)
         state = state.replace(
-            **team,
+            **begun,
             merged_into=jnp.where(ended, self._robots, state.merged_into),
             episode=jnp.where(ended, state.episode + 1, state.episode),
             status=jnp.where(ended, RUNNING, state.status),
@@ -446,7 +446,7 @@ class RendezvousJaxEnv:
                 lambda new, old: jnp.where(ended, new, old), self._forgotten(), state.guarantee
             )
             state = state.replace(guarantee=memory)
-        return last, state, {name: self._told(rows) for name, rows in seen.items()}
+        return last, state, {name: self._env_first(rows) for name, rows in seen.items()}
 
     def _look(self, state: State, advances: Any = False) -> tuple[Array, State]:
         """Observations of all robots, (n, rows, d, *batch), and the state with its V.
@@ -477,8 +477,8 @@ class RendezvousJaxEnv:
             rows = jnp.where((state.merged_into == robots)[:, None, None], rows, 0.0)
         if self.scenario.model.senses:
             kept = tuple(state.memory[:, k] for k in range(state.memory.shape[1]))
-            told = self._motion["sense"](self._model, frame, kept)
-            own = jnp.stack([jnp.broadcast_to(part, frame[0].shape) for part in told], axis=1)
+            infos = self._motion["sense"](self._model, frame, kept)
+            own = jnp.stack([jnp.broadcast_to(part, frame[0].shape) for part in infos], axis=1)
             own = jnp.where((state.merged_into == robots)[:, None], own, 0.0)
             rows = jnp.concatenate([rows, own[:, None].astype(rows.dtype)], axis=1)
         memory = state.guarantee

@@ -27,7 +27,7 @@ COVERED = ("range", "field_of_view", "noise", "bias", "dropout", "delay", "delay
 
 @replaces(chance.cosine_and_sine)
 def _cosine_and_sine(angle: Any, small: bool) -> Any:
-    """As the kernel, which rounds by adding a large number; XLA leaves that addition out."""
+    """As the kernel, which rounds by adding a large number; XLA removes that addition."""
     near_zero = array_form(chance._near_zero)
     if small:
         return near_zero(angle)
@@ -56,7 +56,7 @@ class Keys(NamedTuple):
     step: Word
 
 
-class Sensor:
+class SensorModel:
     """Imperfections of the sensors of a scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -65,7 +65,7 @@ class Sensor:
         n = scenario.n_robots
         self._errors, self._dim, self._n = errors, scenario.dim, n
         self._slots = scenario.observation_layout.obstacle_slots
-        self._points = scenario.observation_layout.silhouette_points
+        self._points = scenario.observation_layout.rows_per_obstacle
         pairs = [[pair_index(min(i, j), max(i, j), n) if i != j else 0 for j in range(n)]
                  for i in range(n)]  # fmt: skip
         self._couples = np.array(pairs, np.uint32)

@@ -14,7 +14,7 @@ from .arrays.array_form import Array, array_form
 from .obstacles.fields import Fields
 
 
-class Moving(NamedTuple):
+class MergeArrays(NamedTuple):
     """Arrays that merges change."""
 
     positions: Array  # (n, d, *batch), m
@@ -50,7 +50,7 @@ class Merging:
         self._fields, self._through = fields, through or fields is None
         self._first, self._second = np.triu_indices(n, 1)
 
-    def __call__(self, moving: Moving) -> Moving:
+    def __call__(self, moving: MergeArrays) -> MergeArrays:
         """Move robots by their displacements and merge those that come within r (theory 5).
 
         First those pairs merge that meet on their paths; then, at the end, those within r.
@@ -83,7 +83,7 @@ class Merging:
         linked = weights[self._first, self._second] > 0.0
         return linked | (weights[self._second, self._first] > 0.0) if self._one_way else linked
 
-    def _moments(self, moving: Moving) -> Array:
+    def _moments(self, moving: MergeArrays) -> Array:
         """Fraction of the step at which the robots of each link first come within r; else inf."""
         places, ways, d = moving.positions, moving.displacements, moving.positions.shape[1]
         offset = tuple(places[self._second, k] - places[self._first, k] for k in range(d))
@@ -92,7 +92,7 @@ class Merging:
         due = self._links(moving.weights) & (moments < jnp.inf)  # never of NaN
         return jnp.where(due, moments, jnp.inf)
 
-    def _squares(self, moving: Moving) -> Array:
+    def _squares(self, moving: MergeArrays) -> Array:
         """Square lengths of links shorter than r, m²; inf of others."""
         places, d = moving.positions, moving.positions.shape[1]
         squares: Any = sum(
@@ -102,8 +102,8 @@ class Merging:
         return jnp.where(due, squares, jnp.inf)
 
     def _merge_next(
-        self, moving: Moving, keys: Array, arrived: Array, busy: Array
-    ) -> tuple[Moving, Array, Array]:
+        self, moving: MergeArrays, keys: Array, arrived: Array, busy: Array
+    ) -> tuple[MergeArrays, Array, Array]:
         """Merge the pair that meets first, or after arrival the closest.
 
         Both rest for the remainder of the step. Also returns the remaining keys, and whether a pair
@@ -134,7 +134,7 @@ class Merging:
         chosen = np.arange(self._n).reshape(-1, *[1] * robot.ndim) == robot
         return tuple(jnp.sum(jnp.where(chosen[:, None], values, 0.0), axis=0))
 
-    def _is_hidden(self, moving: Moving, here: Array, pair: Array) -> Array:
+    def _is_hidden(self, moving: MergeArrays, here: Array, pair: Array) -> Array:
         """Whether an obstacle prevents the merge of a pair, (*batch)."""
         if self._through or self._fields is None:
             return jnp.zeros(pair.shape, bool)
@@ -144,7 +144,9 @@ class Merging:
         way = tuple(b - a for a, b in zip(one, other, strict=True))
         return self._fields.shapes.hides(world, one, way)
 
-    def _merge(self, moving: Moving, here: Array, pair: Array, due: Array) -> tuple[Moving, Array]:
+    def _merge(
+        self, moving: MergeArrays, here: Array, pair: Array, due: Array
+    ) -> tuple[MergeArrays, Array]:
         """Move a pair to its midpoint and merge the second into the first.
 
         Also returns whether each robot belongs to the pair.

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from ..physics.potential import observed, sighting
 from ..physics.vectors import local_axis, to_local
 from .arrays.array_form import Array, array_form
-from .imperfections import Sensor
+from .imperfections import SensorModel
 from .obstacles.shapes import Shapes, World
 
 
-class Sight(NamedTuple):
+class NeighbourObservation(NamedTuple):
     """Observations of an environment, and V."""
 
     rows: Array  # (n, K, d, *batch), a_ij g_ij in the robots' frames, m/s
@@ -46,9 +46,9 @@ def sense(
     weights: Array,
     slots: int,
     dtype: Any,
-    sensor: Sensor | None = None,
+    sensor: SensorModel | None = None,
     keys: Any = None,
-) -> Sight:
+) -> NeighbourObservation:
     """Observe all neighbours; with ``slots`` < n − 1 rows those present come first.
 
     Rows are of this type. An imperfect ``sensor`` uses the keys of its streams.
@@ -65,7 +65,7 @@ def sense(
         others = _packed(others, _others(there), slots)
     closest = jnp.min(jnp.where(weights > 0.0, square, jnp.inf), axis=(0, 1))
     net = jnp.stack([jnp.sum(factor * part, axis=1) for part in offset], axis=1)
-    return Sight(others, _lyapunov(weights, distance), closest, net)
+    return NeighbourObservation(others, _lyapunov(weights, distance), closest, net)
 
 
 def clearances(shapes: Shapes, world: World, positions: Array, active: Array) -> Array:
@@ -82,7 +82,7 @@ def sense_obstacles(
     net: Array,
     reach: float,
     dtype: Any,
-    sensor: Sensor | None = None,
+    sensor: SensorModel | None = None,
     keys: Any = None,
 ) -> tuple[Array, Array]:
     """Observe the obstacles within ``reach``, m.

@@ -1,11 +1,11 @@
 """Contact with obstacles: swept motion along straight lines and arcs.
 
-A contact is a path more than 1 µm deep into an obstacle. It is also a path that obstacles block: an
-obstacle leaves nothing of it, or several that meet leave less than half. Separation, sliding and
-shallower grazing are no contacts. Obstacles that only just meet, so that 1 µm would open a passage,
-have a skin (``obstacle_set``): motion is checked against their union. No robot passes through it at
-any speed, and no step ends inside an obstacle. At a contact a robot loses the component of its
-motion into the obstacle:
+A contact is a path more than 1 µm deep into an obstacle. It is also a path that obstacles block:
+one obstacle leaves nothing of it, or several that meet leave less than half. Separation, sliding
+and shallower grazing are no contacts. Obstacles that only just meet, so that 1 µm would open a
+passage, have a skin (``obstacle_set``): motion is checked against their union. No robot passes
+through it at any speed, and no step ends inside an obstacle. At a contact a robot loses the
+component of its motion into the obstacle:
 
     ṗ = Π_T(p) v,    T(p) = {w : wᵀn ≥ 0 for the normal n of every obstacle touched at p}
 

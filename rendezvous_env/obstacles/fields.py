@@ -64,14 +64,14 @@ class ObstacleField(Drawn):
         super().__post_init__()
         if self.passage > (widest := 2 * self.keep_out):
             wanted = (
-                f"at most twice keep_out, {format_limit(widest)} m, or a start may lie in a gap"
+                f"at most twice keep_out, {format_limit(widest)} m, or a robot may start in a gap"
             )
             raise_invalid("obstacles: ObstacleField.passage", self.passage, wanted)
 
     def check_dim(self, dim: int) -> None:
         """Reject an unsupported dimension."""
         if dim == 3 and self.passage > 0:
-            wanted = "0 in 3-D; who is walled in is known in the plane only"
+            wanted = "0 in 3-D; reachability is checked in the plane only"
             raise_invalid("obstacles: ObstacleField.passage", self.passage, wanted)
 
     @property

@@ -40,7 +40,7 @@ def _check_vector(field: str, value: Any) -> tuple[float, ...]:
 
 
 def _check_waypoints(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
-    """Rows of a time, s, and a displacement, m, by increasing time, from zeros on."""
+    """Validated rows of a time, s, and a displacement, m, by increasing time, the first zero."""
     wanted = "a list of two or more rows [time in s, displacement in m], first a row of zeros"
     if not is_sequence(value) or len(value) < 2:
         raise_invalid(field, value, wanted)
@@ -62,7 +62,7 @@ def _check_box(field: str, value: Any) -> tuple[tuple[float, ...], tuple[float, 
         raise_invalid(field, value, "two corners, m, the lower and the upper one")
     low, high = (_check_vector(f"{field}[{k}]", corner) for k, corner in enumerate(corners))
     if len(low) != len(high) or any(a > b for a, b in zip(low, high, strict=True)):
-        raise_invalid(field, value, "two corners, m, the first nowhere above the second")
+        raise_invalid(field, value, "two corners, m, no component of the first above the second")
     return low, high
 
 
@@ -77,7 +77,7 @@ class Moving(shape.Shape):
         Moving(Disc((0.0, 0.0), 0.5), speed=0.4, box=((-3, -3), (3, 3)))
 
     It does not rotate. Within a step it moves straight at constant speed. ``obstacle_push`` of the
-    scenario says whether it pushes robots or stops at them.
+    scenario selects whether it pushes robots or stops at them.
 
     Raises:
         ValueError: naming the field, its value and the remedy.
@@ -117,7 +117,7 @@ class Moving(shape.Shape):
             self._check_waypoints(name)
         if self.speed is None:
             if self.box is not None:
-                raise_invalid(f"{name}.box", self.box, "left out without speed")
+                raise_invalid(f"{name}.box", self.box, "omitted without speed")
             return
         if self.box is None or len(self.box[0]) != self.dim:
             raise_invalid(f"{name}.box", self.box, f"two corners of {self.dim} numbers, m")

@@ -346,14 +346,13 @@ def pack(
     rows = [obstacle.packed() for obstacle in obstacles]
     needed = row_width(obstacles)
     if len(rows) > slots:
-        there = f"the scenario has room for {slots}; set its obstacle_slots"
+        there = f"the scenario has {slots} obstacle slots; set obstacle_slots"
         raise ValueError(f"obstacles: {len(rows)} given, but {there}")
     if width is not None and needed > width:
         large = next(k for k, row in enumerate(rows) if len(row) > width)
         raise ValueError(
-            f"obstacles[{large}] is {short_repr(obstacles[large])}, which needs a longer row "
-            "than the "
-            "scenario's own obstacles; it must be of their kinds, a polygon of no more corners"
+            f"obstacles[{large}] is {short_repr(obstacles[large])}, which needs a longer row than "
+            "the scenario's obstacles; it must be of their kinds, a polygon of no more corners"
         )
     table = np.full((slots, width or needed), float(ABSENT))
     for row, packed in zip(table, rows, strict=False):
@@ -451,8 +450,8 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
                 raise ValueError(f"{field}: robot_{i} at {position.tolist()} is {depth}")
         if not push_out(point, world, -CONTACT_DEPTH)[0]:
             raise ValueError(
-                f"{field}: robot_{i} at {position.tolist()} is between obstacles that leave no "
-                "room; it must be outside"
+                f"{field}: robot_{i} at {position.tolist()} is between obstacles without free "
+                "space; it must be outside"
             )
 
 

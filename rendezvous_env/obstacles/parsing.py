@@ -43,7 +43,7 @@ def _parse_entry(field: str, entry: Any, dim: int) -> Obstacle:
     if isinstance(entry, Mapping):
         entry = _from_plain(entry, dim)
     if isinstance(entry, Field):
-        raise ValueError(f"{field}: a random field stands alone, not in a list")
+        raise ValueError(f"{field}: a random field must be given alone, not in a list")
     if not isinstance(entry, Obstacle):
         wanted = "a Disc, Polygon, Capsule, Sphere or Moving, such as rv.Disc((0.0, 0.0), 1.0)"
         raise_invalid(field, entry, f"{wanted}, or a dict of its fields")

@@ -31,7 +31,7 @@ _VERTEX_TOLERANCE = 1e-9  # m; points on a vertex are no deeper behind either ed
 @names_unknown_fields("Polygon")
 @dataclass(frozen=True)
 class Polygon(shape.Shape):
-    """Convex obstacle in 2-D; compose nonconvex ones of several that overlap."""
+    """Convex obstacle in 2-D; nonconvex obstacles are composed of overlapping ones."""
 
     vertices: Annotated[tuple[tuple[float, float], ...], _check_vertices]
     """Corners in counterclockwise order, m; the last connects to the first."""
@@ -75,16 +75,16 @@ def _check_vertices(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
     near = shapely.STRtree(points).query(points, predicate="dwithin", distance=LEAST_THICKNESS)
     if len(repeated := near[1][near[0] < near[1]]):
         k = int(repeated.min())
-        raise ValueError(f"{field}[{k}] is {vertices[k]}, which repeats another; leave it out")
+        raise ValueError(f"{field}[{k}] is {vertices[k]}, which repeats another vertex; remove it")
     polygon = shapely.Polygon(vertices)
     hull = polygon.convex_hull
     largest = max(abs(x) for vertex in vertices for x in vertex)
     if hull.buffer(-LEAST_THICKNESS).is_empty:
         fault = f"are degenerate; the polygon must be thicker than {2 * LEAST_THICKNESS:g} m"
     elif not polygon.is_valid:
-        fault = "cross over; list them in order round it"
+        fault = "cross; list them in order around the polygon"
     elif shapely.distance(hull.exterior, points).max() > _ROUNDING * largest:
-        fault = "are not convex; compose it of convex ones"
+        fault = "are not convex; compose the obstacle of convex polygons"
     else:
         return vertices if _twice_area(vertices) > 0 else (vertices[0], *reversed(vertices[1:]))
     raise ValueError(f"{field}: {short_repr(vertices)} {fault}")

@@ -1,8 +1,8 @@
 """Spatial index of many obstacles in 2-D: bounding boxes in groups of neighbouring shapes.
 
 The groups have about √M shapes each, and a bounding box. A query visits the groups, and the shapes
-of those that are near. It leaves out only shapes that are too far away to matter, so every number
-is bitwise the same with and without an index.
+of those that are near. It omits only shapes that are too far away to matter, so results are bitwise
+equal with and without an index.
 
 Environments with the obstacles of the scenario share one table of obstacles and one index, which
 then stay in the cache.
@@ -25,7 +25,7 @@ INDEX_FROM = 64
 """Number of obstacles from which an index is faster than a visit of all."""
 SHAPES = Disc, Polygon, Capsule
 """Shapes that an index supports; they do not move."""
-_MARGIN = 1e-6  # m, plus rounding; by which boxes are larger than their shapes, more than a skin
+_MARGIN = 1e-6  # m, plus rounding; boxes exceed their shapes by this, more than a skin
 _ROUNDING = 1e-12  # of the largest coordinate
 
 

@@ -1,4 +1,4 @@
-"""Least values of convex functions: a minimum is shut in by ellipsoids, each smaller than the last.
+"""Minima of convex functions by the ellipsoid method: ever smaller ellipsoids contain the minimum.
 
     E = {c + B u : ‖u‖ ≤ 1}
 
@@ -15,7 +15,7 @@ from .vectors import combine, dot, norm, scaled
 
 @inner_kernel
 def ball(radius):
-    """B of a ball of a radius, m: r I."""
+    """Columns B = r I of a ball of radius r, m, as three triples."""
     return (radius, 0.0, 0.0), (0.0, radius, 0.0), (0.0, 0.0, radius)
 
 
@@ -27,7 +27,7 @@ def along(axes, g):
 
 @inner_kernel
 def cut(centre, axes, g, share, dim):
-    """The least ellipsoid about what a cut leaves of another, c and B, in 2 or 3 dimensions.
+    """Smallest ellipsoid (c, B), triples, m, around the remainder of a cut one, in 2-D or 3-D.
 
     With α = ``share``, 0 ≤ α < 1, of the half width ‖Bᵀg‖ along g, u = Bᵀg/‖Bᵀg‖, n = ``dim``:
 

@@ -31,8 +31,7 @@ def min_norm_of(rows, neighbour_slots):
 
 @inner_kernel
 def cone_of(rows, neighbour_slots):
-    """Clockwise and counter-clockwise end, unit triples, of the smallest sector ≤ π of all
-    bearings.
+    """Clockwise and counter-clockwise end, unit triples, of the smallest sector ≤ π of bearings.
 
     q bisects it. Both are zero without a visible neighbour, or if neighbours surround the robot.
     Arguments as ``min_norm_of``.

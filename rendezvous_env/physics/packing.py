@@ -20,8 +20,8 @@ def move_apart(positions, displacements, lengths, size, work):
         min ‖x_i − Δ_i‖²   subject to   x_i·g_ij ≤ (‖p_j − p_i‖ − D)/2   for all j
 
     Each disc uses at most half of every gap (buffered Voronoi cells, Zhou et al. 2017), so none is
-    pushed. A curved path stays within its length of its start. If that exceeds a gap's half, the
-    disc executes the straight displacement instead.
+    pushed. A curved path stays within its length of its initial point. If the length exceeds half a
+    gap, the disc executes the straight displacement instead.
 
     Positions and displacements, (n, 2), m, and path lengths, (n,), m, are overwritten by the
     executed ones; ``size`` is D, m; working memory is (normals (n, 2), rooms (≥ n − 1,)).

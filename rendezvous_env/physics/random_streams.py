@@ -37,8 +37,9 @@ def mix(word):
 
 @kernel
 def stream_key(seed, episode, purpose):
-    """Key of the stream for one purpose (START … EVENTS) in one episode of a seed, uint64,
-    without unit: mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)), γ the increment of
+    """Key of the stream for one purpose (START … EVENTS) in one episode of a seed, uint64.
+
+    mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)), without unit; γ is the increment of
     SplitMix64.
     """
     key = mix(np.uint64(seed) + _INCREMENT)
@@ -63,17 +64,16 @@ def later_key(key, count):
 
 @kernel
 def uniform(key, counter):
-    """Number of a stream at an index, without unit, uniform in [0, 1): the upper 53 bits of
-    ``word_of``, · 2⁻⁵³.
-    """
+    """Number of a stream at an index, without unit, uniform in [0, 1): 2⁻⁵³ · ⌊word/2¹¹⌋."""
     return np.float64(word_of(key, counter) >> _SHIFT_11) * _TO_UNIT_INTERVAL
 
 
 @kernel
 def draw_rotation(key, first_counter, axes):
-    """A uniformly distributed rotation R, row by row, 4 or 9 numbers without unit, by at most three
-    numbers of a stream, from an index on: in the plane by an angle 2πu, in 3-D of a uniform unit
-    quaternion (Shoemake, 1992). ``axes`` are (0, 1) or (0, 1, 2).
+    """Uniformly distributed rotation R, row by row, 4 or 9 numbers without unit.
+
+    Uses at most three numbers u of a stream: an angle 2πu in the plane, a uniform unit quaternion
+    in 3-D (Shoemake, 1992). ``axes`` are (0, 1) or (0, 1, 2).
     """
     turn = 2.0 * math.pi * uniform(key, first_counter)
     if len(axes) == 2:

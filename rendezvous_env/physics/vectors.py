@@ -14,7 +14,7 @@ X_AXIS = (1.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
 _MANY, _FEW = 2.0**600, 2.0**-600
 _VERTICAL = 1e-6
-"""A unit triple whose part in the xy plane is shorter than this has no direction there."""
+"""Minimum length in the xy plane of a unit triple that has a direction there."""
 
 
 @kernel
@@ -148,8 +148,9 @@ def split_across(a, h):
 
 @inner_kernel(inline="code")
 def perpendicular(h):
-    """A vector p ⊥ h of a unit pair or triple h, without unit: counter-clockwise in the xy plane,
-    along x if h is vertical.
+    """Perpendicular p ⊥ h of a unit pair or triple h, without unit.
+
+    It is counter-clockwise in the xy plane, or along x if h is vertical.
     """
     if len(h) == 2:
         return -h[1], h[0]

@@ -15,7 +15,7 @@ _IN_LINE = 1e-9  # Sine of the angle between two directions below which they cou
 
 @kernel
 def outward_directions(positions, merged_into, out):
-    """Write unit vectors along ∂L/∂p_i to ``out`` (n, d).
+    """Write unit vectors u_i = ∂L/∂p_i/‖∂L/∂p_i‖ to ``out`` (n, d).
 
     For robots inside the hull, whose motion does not change L, it is the direction away from the
     centroid, or zero. Only active robots count.
@@ -54,8 +54,9 @@ def _gradient_in_plane(positions, merged_into, i):
 
 @inner_kernel
 def _gradient_in_space(positions, merged_into, i):
-    """½ Σ over the edges of the hull at p_i: exterior dihedral angle × bearing from the other end;
-    zero inside the hull, and in a team on one line.
+    """½ Σ over the edges of the hull at p_i: exterior dihedral angle × bearing from the other end.
+
+    Zero inside the hull, and if all robots are on one line.
     """
     gradient = ORIGIN
     for j in range(positions.shape[0]):
@@ -68,8 +69,9 @@ def _gradient_in_space(positions, merged_into, i):
 
 @inner_kernel
 def _exterior_angle(positions, merged_into, i, along):
-    """π minus the angle of the wedge about the line from p_i along an offset that holds all robots;
-    0 if that is no edge of the hull, rad.
+    """Exterior dihedral angle of the hull at the line from p_i along an offset, rad.
+
+    π minus the angle of the wedge that contains all robots; 0 if the line is no edge of the hull.
     """
     length, axis = split(along)
     found, first, last, x, y = False, ORIGIN, ORIGIN, ORIGIN, ORIGIN
@@ -99,8 +101,9 @@ def _exterior_angle(positions, merged_into, i, along):
 
 @inner_kernel
 def _widened(first, last, new):
-    """The wedge of the plane from ``first`` counter-clockwise to ``last``, at most π wide, with
-    another direction in it; and whether there still is one.
+    """Extend a wedge of the plane, from ``first`` counter-clockwise to ``last``, by a direction.
+
+    Returns also whether it is still at most π wide.
     """
     from_first, from_last = cross(first, new)[2], cross(last, new)[2]
     if from_first < 0.0 and from_last > 0.0:

@@ -11,11 +11,11 @@ from .scene import Bools, Floats, outermost
 
 _AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)  # of the eye, in 3-D
 _DISTANCE = 2.6  # of the eye from the middle of a scene, in diagonals of its bounding box
-# of its largest extent that a scene has in every axis, so that a row of robots has a view too
+# minimum extent in every axis, relative to the largest, so that a row of robots has a view too
 _LEAST_SHARE = 0.02
 
 
-class Area(NamedTuple):
+class PixelArea(NamedTuple):
     """A rectangle of pixels."""
 
     left: int
@@ -29,14 +29,14 @@ def columns_of(count: int) -> int:
     return math.ceil(math.sqrt(count))
 
 
-def cell(team: int, count: int, width: int, height: int) -> Area:
+def cell(team: int, count: int, width: int, height: int) -> PixelArea:
     """Area of one environment in a grid picture of the given size, pixels."""
     columns = columns_of(count)
     rows = math.ceil(count / columns)
     row, column = divmod(team, columns)
     left, right = (place * width // columns for place in (column, column + 1))
     top, bottom = (place * height // rows for place in (row, row + 1))
-    return Area(left, top, right - left, bottom - top)
+    return PixelArea(left, top, right - left, bottom - top)
 
 
 class Camera(NamedTuple):
@@ -79,7 +79,7 @@ class Camera(NamedTuple):
         return moved / (1e-3 * self.nearness(points)[..., None])
 
     def hidden(self, points: Floats, obstacles: Floats) -> Bools:
-        """True if a sphere hides each point (m, d), m, from view, (m,); False in the plane."""
+        """True for points (m, d), m, that a sphere occludes, (m,); False in the plane."""
         spheres = [] if math.isinf(self.distance) else outlines(obstacles, 3)
         if not spheres:
             return np.zeros(len(points), dtype=np.bool_)
@@ -93,14 +93,14 @@ class Camera(NamedTuple):
         return np.asarray(inside.any(axis=-1))
 
 
-def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Camera:
+def fit(positions: Floats, obstacles: Floats, area: PixelArea, margin: float) -> Camera:
     """View that fits initial positions (n, d), m, and obstacles (M, width) into an area.
 
     Pixels count from the top left corner of the area, with a margin on each side.
     """
     points = outermost(positions, obstacles)
     low, high = points.min(axis=0), points.max(axis=0)
-    extent = (high - low).max() or 1.0  # of robots that are all in one place
+    extent = (high - low).max() or 1.0  # if all robots are at one position
     lacking = np.maximum(0.0, _LEAST_SHARE * extent - (high - low)) / 2
     low, high = low - lacking, high + lacking
     camera = _view(low, high)

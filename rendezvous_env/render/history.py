@@ -13,7 +13,7 @@ class Moment(NamedTuple):
 
     steps: int
     time: float  # s
-    positions: Floats  # (n, d), m; a merged-away robot is where its survivor is
+    positions: Floats  # (n, d), m; a merged robot has its survivor's position
     headings: Floats  # (n, k), rad: none, yaw, or yaw and pitch
     merged_into: NDArray[np.int64]  # (n,)
     contact: Bools  # (n,), in the step

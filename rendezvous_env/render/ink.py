@@ -31,7 +31,7 @@ def _with_font(size: float, use: Callable[[pygame.font.Font], _Result]) -> _Resu
     """Result of a function of the font of a height, pixels."""
     try:
         return use(_font(round(size)))
-    except pygame.error:  # another user of pygame has ended it, and with it all fonts
+    except pygame.error:  # other code has quit pygame, and with it all fonts
         _font.cache_clear()
         return use(_font(round(size)))
 
@@ -88,9 +88,7 @@ def sector(
     view: float,
     width: int,
 ) -> None:
-    """A field of view on a transparent layer, rad about the angle of its middle; from 2π on a
-    circle.
-    """
+    """Draw a field of view on a transparent layer: an angle, rad, about its middle, or a circle."""
     if view >= 2.0 * np.pi:
         pygame.draw.circle(layer, (*shade, 110), place.tolist(), radius, width)
         return
@@ -102,7 +100,7 @@ def sector(
 
 
 def arrow(surface: pygame.Surface, shade: Rgb, place: Place, unit: float) -> None:
-    """A bearing, in the legend."""
+    """Draw a bearing in the legend."""
     (x, y), half = place, 8 * unit
     pygame.draw.line(surface, shade, (x - half, y), (x + half, y), max(1, round(unit)))
     tip, along = np.array([x + half, y]), np.array([1.0, 0.0])

@@ -9,14 +9,14 @@ import pygame
 from ..engine.memory import RENDEZVOUS
 from ..simulator import Simulator
 from . import ink
-from .camera import Area, Camera, cell, columns_of, nice_step
+from .camera import Camera, PixelArea, cell, columns_of, nice_step
 from .history import History
 from .palette import OBSTACLE_EDGE, ROBOTS, mixed
 from .picture import TeamPicture
 from .scene import Floats, in_contact
 
-_FINE = 2  # a picture is drawn so many times as large, then made smaller: smooth edges
-_DESIGN = 600  # pixels of the shorter side for which lines and letters were chosen
+_FINE = 2  # factor of supersampling, for smooth edges
+_DESIGN = 600  # reference size of the shorter side for lines and letters, pixels
 _HEADER, _LEGEND, _STRIP, _CAPTION = 30, 20, 118, 20  # heights, pixels
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34  # margins within the strip, pixels
 
@@ -34,13 +34,14 @@ class Page:
         self._unit = _FINE * min(size) / _DESIGN
         self._fine = pygame.Surface((_FINE * size[0], _FINE * size[1]), depth=32)
         self._surface = pygame.Surface(size, depth=32)
-        self._pictures: dict[int, TeamPicture] = {}  # by team
+        self._pictures: dict[int, TeamPicture] = {}  # by environment
         self.keeps_view = False
-        """True if the view of an environment stays as it is when a new history starts."""
+        """True if the view of an environment is kept when a new history starts."""
 
     def draw(self, histories: list[History], policy: str = "") -> pygame.Surface:
-        """The present moment of the first teams; the next call draws over the surface. With the
-        name of a policy it stands in the header.
+        """Draw the current moment of the first environments, with the policy's name in the header.
+
+        The next call draws over the surface.
         """
         count = len(histories)
         self._fine.fill(ink.WHITE)
@@ -83,11 +84,11 @@ class Page:
         unit = self._unit * (max(0.5, 1.4 / columns_of(count)) if count > 1 else 1.0)
         below = round(_STRIP * self._unit) if count == 1 else 0
         above = round((_HEADER + _LEGEND if count == 1 else _CAPTION) * self._unit)
-        area = Area(left, top + above, width, height - above - below)
+        area = PixelArea(left, top + above, width, height - above - below)
         return TeamPicture(self._simulator.scenario, history, area, unit, camera)
 
     def _draw_header(self, history: History, policy: str) -> None:
-        """Scenario, policy, time, number of robots left; what marks mean; contacts."""
+        """Draw scenario, policy, time, number of active robots, legend of marks, contacts."""
         moment, unit, page = history.moments[-1], self._unit, self._fine
         n, left = len(moment.merged_into), int(moment.active.sum())
         middle, size = 16 * unit, 21 * unit
@@ -110,7 +111,7 @@ class Page:
         ink.write(page, text, (12 * unit, middle), size, anchor="midleft")
 
     def _draw_legend(self, history: History) -> None:
-        """What wedges, arrows and lines mean, and the area in which robots see each other."""
+        """Draw the legend of wedges, arrows, lines and fields of view."""
         unit, page, scenario = self._unit, self._fine, self._simulator.scenario
         middle, shade = (_HEADER + 0.4 * _LEGEND) * unit, ROBOTS[0]
         sensing, thin = scenario.sensing, max(1, round(unit))

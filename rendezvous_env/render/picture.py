@@ -9,22 +9,22 @@ from ..obstacles.moving import moving_slots
 from ..obstacles.obstacle_set import outlines
 from ..scenario.scenario import Scenario
 from . import ink
-from .camera import Area, Camera, fit, nice_step
+from .camera import Camera, PixelArea, fit, nice_step
 from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, mixed, robot_colour
 from .scene import Bools, Floats, ended, facing, sights
 
 _MARGIN = 18  # pixels
-_ROBOT = 6.5  # radius of a robot, pixels; one that others have joined is larger
-_NOSE, _ARROW = 8.0, 17.0  # how far a nose and the bearings stand out of a robot, pixels
-_TINT = 0.3  # share of white in a path
-_VEIL = 225  # opacity of spheres, of 255: what stands behind one shows through
-_LIGHTER = (0.12, 0.24, 0.36)  # shares of white in a sphere, towards its top
-_MOST_NUMBERS = 30  # robots up to which each has its number beside it
-_MOST_VIEWS = 12  # robots up to which ranges and fields of view are drawn
-_VIEW = 0.12  # of the picture's shorter side: how far a field of view without a range is drawn
-_IN_ORDER = 47  # robots up to which each has a row of its own, with rows for all
-_MOST_HEADS = 60  # arrows up to which each has a head
+_ROBOT = 6.5  # radius of a robot, pixels; larger after merges
+_NOSE, _ARROW = 8.0, 17.0  # length of the nose and the bearings beyond a robot, pixels
+_TINT = 0.3  # fraction of white in a path
+_VEIL = 225  # opacity of spheres, of 255, so that objects behind remain visible
+_LIGHTER = (0.12, 0.24, 0.36)  # fractions of white in a sphere, towards its top
+_MOST_NUMBERS = 30  # maximum number of robots with visible numbers
+_MOST_VIEWS = 12  # maximum number of robots with visible ranges and fields of view
+_VIEW = 0.12  # radius of a field of view without a range, relative to the picture's shorter side
+_IN_ORDER = 47  # maximum number of robots with one row each, if there are rows for all
+_MOST_HEADS = 60  # maximum number of arrows with heads
 
 
 class TeamPicture:
@@ -39,7 +39,7 @@ class TeamPicture:
         self,
         scenario: Scenario,
         history: History,
-        area: Area,
+        area: PixelArea,
         unit: float,
         camera: Camera | None = None,
     ) -> None:
@@ -65,8 +65,8 @@ class TeamPicture:
     ) -> None:
         """Draw the last moment of the history, with or without the robots' numbers.
 
-        Weights are (n, n), m/s; bearings (n, rows, d), what the robots see, in the global frame;
-        frames (n, d, d) those of the robots.
+        Weights are (n, n), m/s; bearings (n, rows, d) are the robots' observations in the global
+        frame; frames (n, d, d) are those of the robots.
         """
         self._extend_paths()
         moment = self.history.moments[-1]
@@ -94,7 +94,7 @@ class TeamPicture:
     def _draw_views(
         self, canvas: pygame.Surface, moment: Moment, pixels: Floats, frames: Floats
     ) -> None:
-        """Range and field of view of each robot of the plane, if they are limited."""
+        """Draw limited ranges and fields of view of robots in the plane."""
         sensing, n = self._scenario.sensing, self._scenario.n_robots
         reaches, views = sensing.each("range", n), sensing.each("field_of_view", n)
         limited = np.isfinite(reaches) | (views < 2.0 * math.pi)
@@ -118,7 +118,7 @@ class TeamPicture:
         weights: Floats,
         bearings: Floats,
     ) -> None:
-        """A line between robots that see each other, half of it where one sees the other."""
+        """Draw a line between robots that observe each other, half of it if only one does."""
         n, layout = len(pixels), self._scenario.observation_layout
         linked = (weights > 0) & moment.active & moment.active[:, None]
         in_order = layout.neighbour_slots >= n - 1 and n <= _IN_ORDER
@@ -129,7 +129,7 @@ class TeamPicture:
                 pygame.draw.line(canvas, ink.EDGE, pixels[i].tolist(), end.tolist(), self._thin)
 
     def _draw_numbers(self, canvas: pygame.Surface, moment: Moment, pixels: Floats) -> None:
-        """The number of each robot beside it."""
+        """Draw the number of each robot."""
         sizes = np.bincount(moment.merged_into, minlength=len(pixels)).tolist()
         for i in np.flatnonzero(moment.active).tolist():
             away = 0.8 * self._radius(sizes[i]) + self._unit
@@ -222,7 +222,7 @@ class TeamPicture:
     def _draw_robots(
         self, canvas: pygame.Surface, moment: Moment, pixels: Floats, bearings: Floats, which: Bools
     ) -> None:
-        """Robots of a mask, from the farthest to the nearest, with what they see."""
+        """Draw the robots of a mask from the farthest to the nearest, with their bearings."""
         if not which.any():  # none is hidden in the plane
             return
         unit, order = self._unit, np.flatnonzero(which)
@@ -259,7 +259,7 @@ class TeamPicture:
     def _draw_bearings(
         self, canvas: pygame.Surface, moment: Moment, pixels: Floats, bearings: Floats, which: Bools
     ) -> None:
-        """Short arrows along what robots see: neighbours in their colour, edges of obstacles."""
+        """Draw arrows along bearings to neighbours, in their colour, and to obstacle edges."""
         layout, unit = self._scenario.observation_layout, self._unit
         lengths = np.linalg.norm(bearings[:, : layout.obstacles.stop], axis=-1)
         robots, rows = np.nonzero((lengths > 0) & which[:, None])

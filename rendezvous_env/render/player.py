@@ -33,7 +33,7 @@ from .window import Window
 
 _REACH = 14.0  # pixels, from which a click selects a robot
 _NEAREST = 1e-6  # m; robots are not dropped closer to each other
-_IDLE = 0.02  # s between two looks at the keys while paused
+_IDLE = 0.02  # polling interval of the keys while paused, s
 _LEFT_BUTTON = 1
 _DIRECTIONS = {
     pygame.K_RIGHT: (1, 0, 0),
@@ -231,7 +231,7 @@ class Player:
         if self._is_possible(state):
             try:
                 self.simulator.set_state(state)
-            except ValueError:  # for example an obstacle that follows a path of its own
+            except ValueError:  # for example an obstacle with a given path
                 return
             self._observations = self.simulator.observe()
             self._grip = point

@@ -31,26 +31,24 @@ def render_metadata(simulator: Simulator) -> dict[str, Any]:
 
 
 class Renderer:
-    """Pictures of the teams of a simulator: paths, headings, what they sense, obstacles, V(t).
+    """Renderer of a simulator: paths, headings, bearings, sensor limits, obstacles and V(t).
 
     Obstacles are orange; a robot has the same colour everywhere, and its number beside it. Its
-    wedge points along its body, or its last motion if it has none; short arrows are the bearings it
-    sees.
-    A thin line joins robots that see each other, half a line starts at one that sees another. A
-    limited range or field of view is drawn about each robot of the plane. A white number counts the
-    robots that have become one, a cross is where they did; a ring is where one touched an obstacle.
-    The view is fitted to the start and the obstacles. A legend explains wedges, arrows and lines.
-    Space is seen in perspective, with plumb lines to the ground. Of more than one team the first
-    ``MAX_TEAMS`` stand side by side.
+    wedge points along the body axis, or the last motion if there is none; short arrows are its
+    bearings. A thin line connects robots that observe each other, and half a line starts at a robot
+    that observes the other one only. Limited ranges and fields of view are drawn in 2-D. A white
+    number is the number of merged robots, a cross marks a merge, a ring a contact. The view is
+    fitted to the initial condition and the obstacles. 3-D scenes are in perspective, with plumb
+    lines to the ground. Of several environments the first ``MAX_TEAMS`` are shown side by side.
 
-    Its owner calls ``reset`` and ``see`` after each reset and step. Nothing is kept without a
-    render mode; a copy of it has the paths, but no window until its next reset.
+    The owner calls ``reset`` and ``see`` after each reset and step. Nothing is recorded without a
+    render mode; a copy has the paths, but no window until its next reset.
 
     Args:
-        simulator: the teams.
+        simulator: the environments.
         render_mode: "human", "rgb_array" or None; a ValueError for another.
         size: width and height in pixels.
-        horizon: first length of the time axis, s; None is a tenth of the limit.
+        horizon: initial length of the time axis, s; None is a tenth of the time limit.
     """
 
     def __init__(
@@ -96,7 +94,7 @@ class Renderer:
         """Picture, (height, width, 3); None in "human" mode.
 
         Raises:
-            RuntimeError: before the first reset, or where no window can be opened.
+            RuntimeError: before the first reset, or if no window can be opened.
             ImportError: without the extra ``render``.
         """
         if self.render_mode is None:

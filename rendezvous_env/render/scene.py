@@ -33,7 +33,7 @@ def facing(headings: Floats, dim: int) -> Floats:
 
 def ways(positions: Floats, active: Bools) -> list[Floats]:
     """Path of each robot up to its merge, (T', d), from positions (T, n, d)."""
-    last = active.sum(axis=0) + 1  # one frame more: where it merged
+    last = active.sum(axis=0) + 1  # one more frame: the position of the merge
     return [positions[: last[robot], robot] for robot in range(positions.shape[1])]
 
 

@@ -4,7 +4,7 @@ import time
 
 import pygame
 
-_LEAST_PAUSE = 1 / 60  # s between two pictures; steps that are shorter are not all shown
+_LEAST_PAUSE = 1 / 60  # minimum time between two pictures, s; of shorter steps only some are shown
 
 
 class Window:
@@ -27,7 +27,7 @@ class Window:
         """Events for the owner, who clears the list."""
         self.screen: pygame.Window | None = self._opened()
         self.paused = False
-        self._steps = 0  # that were asked for while paused
+        self._steps = 0  # requested while paused
         self._due = self._shown = time.monotonic()
 
     @property
@@ -47,8 +47,8 @@ class Window:
             return
         try:
             self.screen.get_surface().blit(picture, (0, 0))
-        except pygame.error:  # another user of pygame has ended it, and with it all windows
-            self.screen = None  # first: were it freed later, it could take a new one at its address
+        except pygame.error:  # other code has quit pygame, and with it all windows
+            self.screen = None  # first: freed later, it could close a new window at its address
             self.screen = self._opened()
             self.screen.get_surface().blit(picture, (0, 0))
         self.screen.flip()
@@ -101,7 +101,7 @@ class Window:
                 self.screen.title = self._title + (" (paused)" if self.paused else "")
 
     def close(self) -> None:
-        """Take the window off the screen."""
+        """Close the window."""
         if self.screen is not None:
             self.screen.destroy()
             self.screen = None

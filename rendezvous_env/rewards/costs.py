@@ -13,21 +13,20 @@ from ..suggestions import closest_match
 from .custom_terms import COSTS, TERMS, RewardStep, of_step
 
 Costs = dict[str, NDArray[np.float64]]
-"""By key of infos, (B, n) each."""
+"""Costs by infos key, (B, n) each."""
 
 
 def as_costs(field: str, value: Any) -> tuple[str, ...]:
     """Names of costs, each once, from one name or several."""
     names = (value,) if isinstance(value, str) else value
     if not isinstance(names, tuple | list):
-        raise_invalid(field, value, f"names out of {', '.join(COSTS)}")
+        raise_invalid(field, value, f"names from {', '.join(COSTS)}")
     for name in names:
         if not isinstance(name, str) or not (name in COSTS or name in TERMS):
             hint = closest_match(name, [*COSTS, *TERMS], after=" ")
             raise ValueError(
-                f"{field}: {short_repr(name)} is unknown; {hint}known are {', '.join(COSTS)}, "
-                "and what "
-                "rv.reward_term has registered"
+                f"{field}: {short_repr(name)} is unknown; {hint}known are {', '.join(COSTS)}, and "
+                "terms registered with rv.reward_term"
             )
     if len(set(names)) < len(names):
         raise_invalid(field, value, "each name once")

@@ -38,7 +38,7 @@ class RewardStep(NamedTuple):
     """Number of links lost other than by merging, (B, n); nonzero on proximity graphs only."""
 
     def read_only(self) -> "RewardStep":
-        """A copy with read-only arrays."""
+        """Copy with read-only arrays."""
         views = {k: v.view() for k, v in self._asdict().items() if isinstance(v, np.ndarray)}
         for view in views.values():
             view.flags.writeable = False
@@ -91,8 +91,10 @@ def add_custom_terms(
     rewards: NDArray[np.float64],
     robot_rewards: NDArray[np.float64],
 ) -> dict[str, NDArray[np.float64]]:
-    """Add the custom terms of a step to the rewards of teams, (B,), and of robots, (B, n); teams
-    that are not ``running``, (B,), earn nothing. What each term, by name, added for teams, (B,).
+    """Add the custom terms of a step to team rewards, (B,), and robot rewards, (B, n).
+
+    Environments that are not ``running``, (B,), are excluded. Returns what each term added to team
+    rewards, (B,), by name.
     """
     added = {}
     took_part = step.took_part
@@ -113,5 +115,5 @@ def of_step(what: str, given: Any, counts: NDArray[np.bool_]) -> NDArray[np.floa
     check_shape(what, earned, counts.shape[:1], counts.shape)
     each = np.broadcast_to(earned[:, None] if earned.ndim == 1 else earned, counts.shape)
     if not np.isfinite(each[counts]).all():
-        raise ValueError(f"{what} gave a number that is not finite")
+        raise ValueError(f"{what} returned a number that is not finite")
     return np.where(counts, each, 0.0)

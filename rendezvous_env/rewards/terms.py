@@ -15,7 +15,7 @@ from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 from .custom_terms import as_custom
 
-CLEARANCE_PENALTY = 4  # place of a weight whose term is only worked out where it is not zero
+CLEARANCE_PENALTY = 4  # index of a weight whose term is computed only if it is not zero
 
 
 @lists_fields
@@ -71,8 +71,8 @@ def earned_in_episode(
     Args:
         weights: w.
         progress: (V_0 − V_T)/V_0, without unit.
-        share: of the time limit that passed, without unit.
-        contacts: one for each robot and step, without unit.
+        share: elapsed fraction of the time limit, without unit.
+        contacts: number of contacts, one for each robot and step, without unit.
         met: whether all robots met.
     """
     terms = {

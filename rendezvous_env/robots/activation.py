@@ -1,7 +1,7 @@
 """Activation: the steps in which each robot takes a new command.
 
-A robot that is not active in a step keeps its last command or stands still (``Scenario.hold``).
-Until its first activation it has no command and stands still.
+A robot that is not active in a step repeats its last command or does not move (``Scenario.hold``).
+Until its first activation it does not move.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ class Activation:
     probability: Annotated[float, _check_probability] | None = None
     """Probability of random activation in a step; by default 0.5."""
     max_wait: Annotated[int, partial(checks.check_int, least=1, most=MAX_STEPS)] | None = None
-    """Number of steps k of bounded activation; by default 2. Every k consecutive steps of an
-    episode hold an activation of each robot."""
+    """Number of steps k of bounded activation; by default 2. Each robot is activated at least once
+    in any k consecutive steps of an episode."""
 
     __repr__ = repr_of_changes
 
@@ -91,7 +91,7 @@ class Activation:
                 object.__setattr__(self, field, default if value is None else value)
             elif value is not None:
                 kinds = [kind for kind, fields in _OWN.items() if field in fields]
-                remedy = f"left out: it belongs to activation.kind = {kinds[0]!r}"
+                remedy = f"omitted: it is a field of activation.kind = {kinds[0]!r}"
                 checks.raise_invalid(f"activation.{field}", value, remedy)
         for robot, (period, phase) in enumerate(zip(*self._table(1), strict=False)):
             if self.kind == "periodic" and phase >= period:
@@ -113,7 +113,7 @@ class Activation:
         return float(self.max_wait or 1)
 
     def _table(self, n_robots: int) -> tuple[list[int], list[int]]:
-        """Period and phase of each robot, as many as the longest list has, at least n."""
+        """Period and phase of each robot, for the longest list, at least n."""
         given = (self.period or 1, self.phase)
         n = max([n_robots, *(len(one) for one in given if isinstance(one, tuple))])
         periods = [*given[0]] if isinstance(given[0], tuple) else [given[0]] * n
@@ -159,7 +159,7 @@ class ActivationRules(NamedTuple):
     """Constants of the clocks for kernels; one type for all kinds."""
 
     kind: int
-    stops: bool  # robots that are not active stand still, rather than keep their command
+    stops: bool  # robots that are not active have zero action, instead of their last command
     periods: NDArray[np.float64]  # (n,), whole numbers of steps
     rates: NDArray[np.float64]  # (n,), their reciprocals
     phases: NDArray[np.float64]  # (n,), steps
@@ -184,10 +184,10 @@ def rules_of(activation: Activation, hold: str, n_robots: int) -> ActivationRule
 
 @inner_kernel(inline="code")
 def is_scheduled(rules, step, i):
-    """True if robot i is active in a step by a clock without chance; ``step`` is a float."""
+    """True if the deterministic clock of robot i activates it in a step; ``step`` is a float."""
     if rules.kind == _PERIODIC:
         since = step - rules.phases[i]
-        # of integers exact, and faster than a remainder
+        # exact for integers, and faster than a remainder
         return since == rules.periods[i] * math.floor(since * rules.rates[i] + 0.5)
     return rules.kind == _SYNCHRONOUS
 

@@ -28,7 +28,7 @@ from ..physics.half_planes import nearest_within
 
 Pair = tuple[float, float]
 _OFF_UNIT = 1e-3  # of a direction's length, as float32 and messages round
-_BELOW = 1.0 - 1e-9  # of a wheel's speed: whoever works it out from v and ω finds no more
+_BELOW = 1.0 - 1e-9  # factor on wheel speeds, so that those computed from v and ω stay in the limit
 
 
 class Machine(NamedTuple):

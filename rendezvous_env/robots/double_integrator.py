@@ -19,8 +19,8 @@ from .motion import FREE, STOPPED, Motion, describe
 from .robot_models import RobotModel, register_robot_model
 from .single_integrator import speed_scale
 
-# where the velocity changes by less than this share of itself, Simpson's rule has the length of the
-# way to rounding, and the closed form would lose digits
+# relative change of velocity below which Simpson's rule gives the path length to rounding, while
+# the closed form would lose digits
 _NEARLY_STEADY = 1e-3
 
 
@@ -84,7 +84,7 @@ def _propose(model, action, frame, memory):
 
 @kernel
 def _chord_error_bound(model, action, memory):
-    # of a parabola; the speed limit, a projection onto a ball, only lessens the change of velocity
+    # of a parabola; the speed limit, a projection onto a ball, only reduces the change of velocity
     return model.acceleration_limit / 8.0
 
 

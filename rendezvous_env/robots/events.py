@@ -1,7 +1,7 @@
 """Failures and disturbances of robots: settings, draws and constants.
 
-Times and robots are given, or drawn for every episode. Random numbers depend on seed, episode, step
-and robot, so an episode is the same in any batch.
+Times and robots are given, or sampled for every episode. Random numbers depend on seed, episode,
+step and robot, so an episode is the same in any batch.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _WANTED = {2: "a list of pairs [robot, time in s]", 3: "a list of [robot, start 
 
 
 def _check_times(field: str, value: Any, columns: int) -> tuple[tuple[float, ...], ...]:
-    """Rows of a robot and one or two times."""
+    """Validated rows of a robot and one or two times."""
     if not checks.is_sequence(value):
         checks.raise_invalid(field, value, _WANTED[columns])
     rows: list[tuple[float, ...]] = []
@@ -49,7 +49,7 @@ def _check_times(field: str, value: Any, columns: int) -> tuple[tuple[float, ...
 
 
 def _check_rates(field: str, value: Any) -> float | tuple[float, ...]:
-    """One rate of all robots, or one for each."""
+    """Validated rate of all robots, or one for each."""
     one = partial(checks.number, least=-LARGEST, most=LARGEST, unit="rad/s")
     if not checks.is_sequence(value):
         return one(field, value)
@@ -67,8 +67,8 @@ _Speed = Annotated[float, partial(checks.number, least=0.0, unit="m/s")]
 class Events:
     """Failures and disturbances of robots; none by default.
 
-    A robot that merges with a crashed one has crashed, too; the same holds for adversaries. Drawn
-    robots are different ones for each kind of event, and times are uniform in the time limit.
+    A robot that merges with a crashed one has crashed, too; the same holds for adversaries. Robots
+    are sampled without given events, for each kind, and times uniformly within the time limit.
 
     Raises:
         ValueError: naming the field, its value and the allowed values.
@@ -76,20 +76,20 @@ class Events:
     """
 
     crashes: Annotated[_Times, partial(_check_times, columns=2)] = ()
-    """Crashes as pairs [robot, time in s]: the robot stands still from then on. It still observes
+    """Crashes as pairs [robot, time in s]: the robot does not move from then on. It still observes
     and is observed."""
     sensor_failures: Annotated[_Times, partial(_check_times, columns=3)] = ()
     """Sensor failures as rows [robot, start, end], s: all rows of neighbours and obstacles are zero
     in between."""
     adversaries: Annotated[_Times, partial(_check_times, columns=2)] = ()
     """Adversarial robots as pairs [robot, time in s]: from then on the robot moves at full speed in
-    the direction in which V rises fastest. For robots whose action is their velocity."""
+    the direction of steepest increase of V. For robots whose action is their velocity."""
     n_crashed: _Count = 0
-    """Number of robots that crash at drawn times, besides the given ones."""
+    """Number of robots that crash at random times, in addition to the given ones."""
     n_blind: _Count = 0
-    """Number of robots whose sensor fails between two drawn times."""
+    """Number of robots whose sensor fails between two random times."""
     n_adversarial: _Count = 0
-    """Number of robots that become adversarial at a drawn time."""
+    """Number of robots that become adversarial at a random time."""
     compass_drift: Annotated[float | tuple[float, ...], _check_rates] = 0.0
     """Rate at which the local frame of each robot turns about the vertical, rad/s; one number, or a
     list with one for each robot. For single and double integrators."""
@@ -97,8 +97,8 @@ class Events:
     """Random walk of the local frames: the standard deviation of their angle after one second,
     rad/√s."""
     slip: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
-    """Largest share of the command that slip takes: each robot executes 1 − slip·u of it, u uniform
-    in [0, 1] in every step."""
+    """Maximum relative loss by slip: each robot executes its command times 1 − slip·u, u uniform in
+    [0, 1] in every step."""
     disturbance: _Speed = 0.0
     """Bound w on a velocity disturbance, m/s: uniform in the disc or ball of this radius for each
     robot and step. The speed limit holds for command and disturbance together. For robots whose
@@ -113,12 +113,12 @@ class Events:
 
     @property
     def none(self) -> bool:
-        """True if nothing fails and nothing is disturbed."""
+        """True if there are no failures and no disturbances."""
         return self == _NOTHING
 
     @property
     def fails(self) -> bool:
-        """True if robots may crash, go blind or become adversarial."""
+        """True if robots may crash, lose their sensor or become adversarial."""
         given = self.crashes or self.sensor_failures or self.adversaries
         return bool(given) or self.n_crashed + self.n_blind + self.n_adversarial > 0
 
@@ -130,7 +130,7 @@ class Events:
 
     @property
     def turns_frames(self) -> bool:
-        """True if local frames turn."""
+        """True if local frames rotate."""
         rates = self.compass_drift
         drifts = any(rates) if isinstance(rates, tuple) else rates != 0.0
         return drifts or self.compass_walk > 0.0
@@ -222,7 +222,7 @@ class EventRules(NamedTuple):
     fails: bool
     crashes: bool  # whether robots may crash
     opposes: bool  # whether robots may be adversarial
-    draws: bool  # whether commands change by chance
+    draws: bool  # whether commands change randomly
     slip: float
     disturbance: float  # m/s
     noise: float  # m/s
@@ -232,13 +232,13 @@ class EventRules(NamedTuple):
 
 
 class FaultRules(NamedTuple):
-    """Rules by which an episode's failures are drawn."""
+    """Rules for sampling an episode's failures."""
 
     given: NDArray[np.int64]  # (n, 4), steps of given events, NEVER without one
-    crashed: int  # numbers of drawn robots
+    crashed: int  # numbers of sampled robots
     blind: int
     adversarial: int
-    steps: int  # among which times are drawn
+    steps: int  # from which times are sampled
 
 
 def rules_of(scenario: Any) -> EventRules:
@@ -278,10 +278,10 @@ def fault_rules(scenario: Any) -> FaultRules:
 
 @kernel
 def draw_faults(which, rules, seeds, episodes, faults):
-    """Write the steps of all events of new episodes, (B, 4, n), given and drawn.
+    """Write the steps of all events of new episodes, (B, 4, n), given and sampled.
 
-    For each kind the robots with the lowest of n random numbers are drawn, of those that have no
-    given event.
+    For each kind, those with the lowest random numbers of the robots without a given event are
+    selected.
     """
     n = faults.shape[2]
     for place in range(len(which)):
@@ -297,7 +297,7 @@ def draw_faults(which, rules, seeds, episodes, faults):
 
 @inner_kernel
 def _draw_kind(key, kind, count, column, rules, faults):
-    """Draw ``count`` robots for one kind of event, and their times."""
+    """Sample ``count`` robots for one kind of event, and their times."""
     n = faults.shape[1]
     for i in range(n if count > 0 else 0):
         if rules.given[i, column] != NEVER:
@@ -317,6 +317,6 @@ def _draw_kind(key, kind, count, column, rules, faults):
 
 @inner_kernel(inline="code")
 def unit_pair(x, y):
-    """A pair of nearly unit length, made so by a Newton step: an error e becomes 3 e²/2."""
+    """Normalise a pair of nearly unit length by a Newton step: an error e becomes 3 e²/2."""
     factor = 1.5 - 0.5 * (x * x + y * y)
     return x * factor, y * factor

@@ -280,7 +280,7 @@ def _first_angles(angles, in_global_frame, key, counter):
 
 _propose_by, _displacement_by = _by_member(_propose_as), _by_member(_displacement_as)
 _chord_error_bound_by, _period_by = _by_member(_chord_error_bound_as), _by_member(_period_as)
-_update_by, _frame_by = _by_member(_update_as), _by_member(_frame_as)
+_frame_by = _by_member(_frame_as)
 _sense_by, _init_by = _by_member(_sense_as), _by_member(_init_as)
 
 
@@ -305,12 +305,6 @@ def _chord_error_bound(model, action, memory):
 @kernel(inline="code")
 def _period(model, action, memory):
     return _period_by(model.members, model.inputs, model.kept, (model, action, memory))
-
-
-@kernel(inline="code")
-def _update(model, action, frame, memory, displacement, contact):
-    given = model, action, frame, memory, displacement, contact
-    return _update_by(model.members, model.inputs, model.kept, given)
 
 
 @kernel(inline="code")
@@ -378,8 +372,7 @@ describe(
         propose=_propose,
         displacement_at=_displacement_at,
         chord_error_bound=_chord_error_bound,
-        update=_update,
-        frame=_frame,
+        frame=_frame,  # ``update`` is that of each member: see ``for_member``
         sense=_sense,
         init=_init,
         period=_period,

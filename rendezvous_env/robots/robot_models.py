@@ -28,7 +28,7 @@ from ..field_checks import check_fields
 from .motion import FREE, STOPPED, Motion, check_function, is_number, motion_of
 
 MAX_ANGLES = 4  # of a robot model
-MAX_KEPT = 5  # numbers that a robot model may keep from step to step
+MAX_KEPT = 5  # maximum size of the memory of a robot model
 _SAMPLES = 12
 _ROUNDING = 1e-9
 
@@ -120,7 +120,7 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
         raise_invalid("model", model, "a RobotModel")
     known = ROBOT_MODELS.get(model.name)
     if known is not None and replace is not True:
-        remedy = "replace=True puts this one in its place"
+        remedy = "replace=True overwrites it"
         raise ValueError(f"robot model {model.name!r} is already registered; {remedy}")
     ROBOT_MODELS[model.name] = model
     try:
@@ -153,7 +153,7 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
     if motion is None:
         if early and hasattr(kind, "_fields"):
             return constants
-        remedy = "describe_motion must have said how that moves"
+        remedy = "register its equations with describe_motion"
         raise ValueError(f"the constants of {who} are a {kind.__name__}; {remedy}")
     duration, limit = (getattr(constants, name, None) for name in ("duration", "speed_limit"))
     if not isinstance(duration, float) or duration != tau:
@@ -171,7 +171,7 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
     if bounds.ndim != 1 or not bounds.size:
         raise_invalid(f"bounds of {who}", given, "a list of numbers")
     for k, bound in enumerate(bounds.tolist()):
-        if not 0.0 <= bound < math.inf:  # 0: robots without links that have no speed given
+        if not 0.0 <= bound < math.inf:  # 0: robots without links and without a given speed
             raise_invalid(f"bounds[{k}] of {who}", bound, "finite, and 0 or more")
         if model.bounded and bound != scenario.speed_limit:
             raise_invalid(f"bounds[{k}] of {who}", bound, fastest)
@@ -230,13 +230,13 @@ def try_equations(
     random, used = np.random.default_rng(0), np.zeros(len(bounds), bool)
     for sample in range(_SAMPLES):
         drawn = random.uniform(-1.0, 1.0, len(bounds)) * bounds * 0.1 ** (sample % 4)
-        action = (-bounds, bounds)[sample] if sample < 2 else drawn  # models go fastest at limits
+        action = (-bounds, bounds)[sample] if sample < 2 else drawn  # the limits are fastest
         asked = _Asked(model, motion, constants, tuple(action.tolist()), dim)
         try:
-            # what overflows is refused as not finite; random streams are meant to
+            # overflow is rejected as not finite; random streams overflow by design
             with np.errstate(over="ignore", invalid="ignore"):
                 used |= asked.step(sample)
-        except ZeroDivisionError:  # which compiled code takes as infinite
+        except ZeroDivisionError:  # which compiled code treats as infinite
             continue
     if not used.all():
         raise ValueError(
@@ -293,12 +293,14 @@ class _Asked(NamedTuple):
             self.refuse("frame", frame, "a rotation, row by row")
         proposed = self.ask("propose", action, frame, memory)
         if not isinstance(proposed, tuple) or len(proposed) != 2:
-            self.refuse("propose", proposed, "a displacement and the length of the way")
+            self.refuse("propose", proposed, "a displacement and the path length")
         displacement = np.array(self.check("propose", dim, proposed[0]))
         way, far = to_float(proposed[1]), float(np.linalg.norm(displacement))
         slack = _ROUNDING * (1.0 + limit * tau)
         if not far - slack <= way < math.inf:
-            self.refuse("propose", proposed, f"a way of {far:g} m, its displacement, or longer")
+            self.refuse(
+                "propose", proposed, f"a path length of {far:g} m, its displacement, or longer"
+            )
         if far > limit * tau + slack:
             wanted = f"a displacement of speed_limit times {format_limit(tau)} s at most"
             self.refuse("propose", proposed, wanted)
@@ -324,7 +326,7 @@ class _Asked(NamedTuple):
         slowed = tau * min(1.0, limit / max(math.hypot(*action), 1e-300))
         wanted = slowed * rotation @ action if len(action) == self.dim else np.inf
         if np.abs(displacement - wanted).max() > _ROUNDING * (1.0 + limit * tau):
-            held = f"τ R a, of {self.dim} numbers, slowed down to {format_limit(limit)} m/s at most"
+            held = f"τ R a, of {self.dim} numbers, limited to {format_limit(limit)} m/s at most"
             self.refuse("propose", displacement.tolist(), f"{held}, since the model is bounded")
 
     def _check_curve(self, frame: Any, memory: Any, displacement: NDArray[np.float64]) -> None:
@@ -342,8 +344,8 @@ class _Asked(NamedTuple):
             found = self.numbers("displacement_at", self.dim, *given)
             aside = float(np.linalg.norm(found - share * displacement))
             if share in (0.0, 1.0) and aside > slack:
-                wanted = f"{share:g} of what propose gives after {share:g} of the step"
+                wanted = f"{share:g} of the result of propose, after {share:g} of the step"
                 self.refuse("displacement_at", found, wanted)
             if aside > bent * tau * tau * (1.0 + 1e-6) + slack:
-                wanted = f"as large as the way is bent, {aside / tau**2:g} m/s² or more"
+                wanted = f"at least the curvature of the path, {aside / tau**2:g} m/s² or more"
                 self.refuse("chord_error_bound", bent, wanted)

@@ -21,8 +21,9 @@ class SingleIntegrator(NamedTuple):
 
 @kernel(inline="code")
 def speed_scale(square_speed, limit):
-    """Speed ‖v‖ from its square, and the factor min(1, v_max/‖v‖) that limits it and keeps the
-    direction; m/s, and of accelerations likewise.
+    """Speed ‖v‖, m/s, from its square, and the limiting factor min(1, v_max/‖v‖).
+
+    Applies to accelerations, m/s², likewise.
     """
     speed = math.sqrt(square_speed)
     return speed, limit_factor(speed, limit)

@@ -88,7 +88,7 @@ def _turned(along, across, x, y):
 def _aim_in_plane(axes, observations, robot, frames, first, stop, work):
     """Right-handed planar frames with x along f; columns are axes in the local frame."""
     numbers, _ = work
-    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
     lanes = lanes_of(numbers)
     sum_rows(axes, observations[first:stop], robot.neighbour_slots, lanes.f)

@@ -16,7 +16,7 @@ from ..scenario.scenario import Scenario
 from .links import alignment_of
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 
-_NOTHING = 1e-30  # weights that add up to less, m/s, are none
+_NOTHING = 1e-30  # m/s; a smaller sum of weights counts as zero
 
 
 class _Constants(NamedTuple):
@@ -29,7 +29,7 @@ class _Constants(NamedTuple):
 def gain_ranges(
     scenario: Scenario, min_gain: Any = None, max_gain: Any = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Limits c_i and C_i of Σ_j c_ij of each robot in force, (n,), m/s, at most r/τ (theorem G).
+    """Limits c_i and C_i in use of Σ_j c_ij of each robot, (n,), m/s, at most r/τ (theorem G).
 
     Limits are one number for all robots or a list with one for each. The defaults are a* and D̄,
     adjusted to a given other limit.
@@ -71,8 +71,9 @@ def _given(field: str, value: Any, n: int) -> NDArray[np.float64] | None:
 def gain_range(
     scenario: Scenario, min_gain: Any = None, max_gain: Any = None
 ) -> tuple[float, float]:
-    """Pair of limits c and C of the Σ_j c_ij of all robots, m/s: the least and the largest of
-    ``gain_ranges``, with its errors. Theorem G assumes nothing else of the gains.
+    """Pair of limits c and C on Σ_j c_ij for all robots, m/s, as theorem G assumes.
+
+    They are the least and the largest of ``gain_ranges``; errors are the same.
     """
     least, most = gain_ranges(scenario, min_gain, max_gain)
     return float(least.min()), float(most.max())
@@ -142,7 +143,7 @@ def _weigh(axes, robots, constants, arrays, work):
     for i in range(robots[0], robots[1]):
         rows, weights = observations[i], held[i]
         total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
-        if total < _NOTHING:  # all count alike
+        if total < _NOTHING:  # equal weights
             total, towards = _weighted(rows, weights, constants.neighbour_slots, 1.0)
         low, high = constants.min_gains[i % n], constants.max_gains[i % n]
         sought = min(max(total, low), high) if total > 0.0 else 0.0

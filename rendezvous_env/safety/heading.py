@@ -42,9 +42,9 @@ from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, reg
 from .settings import MAX_TURN_RATE, check_gate_constants, check_margin, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
 
-NO_CAP = -2.0  # a margin that every heading keeps
+NO_CAP = -2.0  # a minimum alignment that every heading satisfies
 _NEARLY_PARALLEL = 1e-9
-_NEARLY_ANTIPODAL = 1e-6  # part of a unit vector across another that says nothing of its side
+_NEARLY_ANTIPODAL = 1e-6  # component of a unit vector across another below which it has no side
 
 
 def flexible_velocity(
@@ -78,7 +78,7 @@ scale_of_step = kernel(step_scale, inline="code")  # ``step_scale`` of a number,
 
 @kernel
 def turn_limit(max_turn):
-    """The numbers cos γ, sin γ and the squared chord = 4 sin²(γ/2) of a maximum turn γ, rad.
+    """Numbers cos γ, sin γ and squared chord c² = (2 sin(γ/2))² of a maximum turn γ, rad.
 
     The chord is inf from π on (no limit).
     """
@@ -254,7 +254,7 @@ class _Constants(NamedTuple):
 def _steer(axes, robots, constants, arrays, work):
     """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
     numbers, room = work
-    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
     observations, held, headings, actions, alignment, lyapunov_rate = arrays
     lanes, robot, limit = lanes_of(numbers), constants.robot, turn_limit(constants.max_turn)
@@ -318,7 +318,7 @@ def _certify_lanes(axes, lanes, gate, limit):
         write(heading, lanes.heading, lane)
         weak += lanes.strength[lane] < 2.0 * gate.dead_zone
     lanes.margin[:], lanes.rest[:] = _cap(gate.min_alignment)
-    if weak > 0:  # seldom: from 2δ on the margin is ε
+    if weak > 0:  # rare: beyond 2δ the minimum alignment is ε
         for lane in range(LANES):
             margin = _margin(lanes.strength[lane], gate.min_alignment, gate.dead_zone)
             lanes.margin[lane], lanes.rest[lane] = _cap(margin)
@@ -414,7 +414,7 @@ class HeadingFilter(SafetyFilter):
         certified = flag("certified", certified)
         if robot.error_chord > 0.0 and not certified:
             raise_invalid(
-                "bearing_error", bearing_error, "0 with certified=False: nothing is promised"
+                "bearing_error", bearing_error, "0 with certified=False, which gives no guarantee"
             )
         given = None if scenario.max_turn_rate is None else scenario.min_turn_limit
         self._heading_rate = most if given is None else min(most, given)

@@ -63,8 +63,8 @@ def link_keeping_law(
     return least_norm_point * np.asarray(speed)[..., np.newaxis]
 
 
-_MOST_ROUNDS = 48  # a few do, however many links there are
-_SLACK = 1e-13  # so far outside of a ball, as a share of ρ², counts as on it
+_MOST_ROUNDS = 48  # maximum number of iterations; a few suffice for any number of links
+_SLACK = 1e-13  # violation of a ball, relative to ρ², that counts as on it
 _ALIKE = 1e-11  # bearings whose difference is shorter than this are one bearing
 
 
@@ -181,7 +181,7 @@ class LinkKeeping(SafetyFilter):
         bearing_error: η, rad, maximum bearing error.
 
     Raises:
-        ValueError: with the reason why the scenario does not admit link keeping.
+        ValueError: with the reason why links cannot be maintained in the scenario.
     """
 
     state_key = "links"
@@ -223,12 +223,12 @@ register_filter("links", LinkKeeping)
 def asymmetric_sight(scenario: Scenario) -> str:
     """Reason why visibility is not mutual or a near robot may be invisible; else empty (R)."""
     sensing, graph = scenario.sensing, scenario.sensing_graph
-    needs = "theorem R needs that both see each other while they are near"
+    needs = "theorem R needs mutual visibility of near robots"
     if not graph.undirected and graph.kind != "proximity":
         kind = "switching" if graph.changes else "directed"
-        return f"graph is a {kind} one; {needs}: it must be undirected, or follow sight"
+        return f"graph is {kind}; {needs}: it must be undirected, or a proximity graph"
     if sensing.custom:
-        return f"sensing.custom is {sensing.custom}; {needs}: what it hides is not known"
+        return f"sensing.custom is {sensing.custom}; {needs}, which is unknown for custom sensors"
     if isinstance(sensing.range, tuple):
         return f"sensing.range is {list(sensing.range)}; {needs}: it must be one for all robots"
     if (view := sensing.smallest("field_of_view")) < 2.0 * math.pi:

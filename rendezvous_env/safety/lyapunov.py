@@ -1,4 +1,4 @@
-"""V, its rate and net bearings, of positions in the global frame: for analysis, never for a law."""
+"""V, its rate and net bearings from positions in the global frame, for analysis only."""
 
 from typing import Any
 
@@ -12,8 +12,9 @@ Array = NDArray[np.float64]
 
 
 def lyapunov(positions: ArrayLike, weights: ArrayLike) -> Array:
-    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ (paper, section III), (...), m²/s, of positions (..., n, d), m,
-    and symmetric weights (..., n, n), m/s.
+    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ (paper, section III), (...), m²/s.
+
+    Positions are (..., n, d), m, and symmetric weights (..., n, n), m/s.
     """
     return _of_teams(lambda p, a: lyapunov_of_links(p, _links(a)), "()", positions, weights)
 
@@ -29,8 +30,9 @@ def net_bearings(positions: ArrayLike, weights: ArrayLike) -> Array:
 
 
 def lyapunov_rate(velocities: ArrayLike, net_bearing: ArrayLike) -> Array:
-    """V̇ = −2 Σ_i f_iᵀ ṗ_i, (...), m²/s², which is −2 Σ (h_iᵀ f_i)² under law (4), of velocities and
-    net bearings (..., n, d), m/s, in the same frame.
+    """V̇ = −2 Σ_i f_iᵀ ṗ_i, (...), m²/s², which is −2 Σ (h_iᵀ f_i)² under law (4).
+
+    Velocities and net bearings are (..., n, d), m/s, in the same frame.
     """
     return np.asarray(-2.0 * np.sum(np.multiply(velocities, net_bearing), axis=(-2, -1)))
 
@@ -41,7 +43,7 @@ def _links(weights: Array) -> tuple[Any, Any, Any]:
 
 
 def _of_teams(of_team: Any, result: str, positions: ArrayLike, weights: ArrayLike) -> Array:
-    """A function of one team's positions and weights, for any leading axes."""
+    """Apply a function of one environment's positions and weights over leading axes."""
     p, a = floats("positions", positions), floats("weights", weights)
     if p.ndim < 2 or a.shape[-2:] != (p.shape[-2],) * 2:
         raise ValueError(

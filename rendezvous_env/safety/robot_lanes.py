@@ -17,7 +17,7 @@ from ..engine.threads import Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
-LANES = 32 if compiled() else 1  # robots that are worked on at a time
+LANES = 32 if compiled() else 1  # robots processed at a time
 _ROWS = 31
 _1, _2, _3, _BESIDE = (np.uint64(number) for number in (1, 2, 3, LANES))
 """Unsigned, so that the compiler has no negative index to handle."""
@@ -39,11 +39,11 @@ class Lanes(NamedTuple):
     rest: Numbers  # √(1 − ε_i²)
     desired: Numbers  # length of the choice
     carried: Numbers  # length of the heading before the step, 1 or 0
-    owed: Numbers  # decrease of V that is promised, m²/s
+    owed: Numbers  # guaranteed decrease of V, m²/s
     degree: Numbers  # D, m/s
     level: Numbers  # A, m²/s
     deposit: Numbers  # G, m²/s
-    accepted: Numbers  # whether the choice is carried out, 1 or 0
+    accepted: Numbers  # whether the choice is executed, 1 or 0
     alignment: Numbers
     lyapunov_rate: Numbers
 
@@ -73,22 +73,22 @@ def end_of_run(turning, first, stop):
 
 @inner_kernel(inline="text")
 def lanes_of(work):
-    """The Lanes whose rows, (31, LANES), these are."""
+    """Lanes with the given rows, (31, LANES), in any unit: vectors are v = rows 3k to 3k + 2."""
     vectors = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15], work[15:18]
     numbers = work[18], work[19], work[20], work[21], work[22], work[23], work[24], work[25]
     rest = work[26], work[27], work[28], work[29], work[30]
     return Lanes(*vectors, *numbers, *rest)
 
 
-# Robots are cut out of arrays first: of ``values[first + lane]`` the compiler cannot know that the
-# index is not negative, and the loop would not become SIMD.
+# Slices first: for ``values[first + lane]`` the compiler would not know that the index is not
+# negative, and the loop would not become SIMD.
 
 
 @inner_kernel(inline="code")
 def take_in(axes, values, first, stop, lanes):
     """Copy vectors (N, d), any unit, of robots first ≤ i < stop into lanes (3, LANES)."""
     taken = values[first:stop]
-    if taken.shape[1] == len(axes):  # it is; so the compiler copies all at once
+    if taken.shape[1] == len(axes):  # always true; the compiler then copies all at once
         for lane in range(len(taken)):
             for k in range(len(axes)):
                 lanes[k, lane] = taken[lane, k]
@@ -172,7 +172,7 @@ def _copy_pairs(pairs, stride, count, beside):
 
 @inner_kernel(inline="code")
 def report(axes, lanes, first, stop, actions, alignment, lyapunov_rate):
-    """Give out velocities (N, d), m/s, and |hᵀf|/‖f‖ and −2 (hᵀf)², (N,), of first ≤ i < stop."""
+    """Write velocities (N, d), m/s, and |hᵀf|/‖f‖ and −2 (hᵀf)², (N,), of first ≤ i < stop."""
     give_out(axes, lanes.sent, first, stop, actions)
     tell(lanes.alignment, first, stop, alignment)
     tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)

@@ -27,7 +27,7 @@ from .turning import robot_of
 
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
-_ROUNDING = 1e-6  # so far from a rotation may a frame be that was put back
+_ROUNDING = 1e-6  # tolerance of rotations in a restored state
 FILTERS: dict[str, type[SafetyFilter]] = {}
 """Registered filter classes by name."""
 
@@ -37,7 +37,7 @@ def over_teams(
 ) -> None:
     """Execute calls for a batch on up to ``num_threads`` threads; None is one per core."""
     most = num_envs * n_robots // _ROBOTS_PER_THREAD
-    if most > 1:  # to ask how many cores there are takes a while
+    if most > 1:  # querying the number of cores is slow
         most = min(most, threads.max_threads(num_threads))
     threads.share(calls_of, num_envs, max(1, most))
 
@@ -68,7 +68,7 @@ def _hold(given, frames, held):
     """Store vectors (B, n, d), rotated by frames: h = F q."""
     if frames.shape[3] == 2:
         numbers, kept, turning = given.reshape(-1), held.reshape(-1), frames.reshape(-1)
-        for i in range(len(kept) // 2):  # of rows that are cut out it would not become SIMD
+        for i in range(len(kept) // 2):  # with slices it would not become SIMD
             q = numbers[2 * i], numbers[2 * i + 1]
             kept[2 * i] = dot((turning[4 * i], turning[4 * i + 1]), q)
             kept[2 * i + 1] = dot((turning[4 * i + 2], turning[4 * i + 3]), q)
@@ -139,12 +139,12 @@ _RENAMED = {
 
 
 def check_sees_all_neighbours(scenario: Scenario) -> None:
-    """Refuse a scenario whose robots may not see all neighbours: f is not the sum of the rows."""
+    """Reject a scenario that may omit neighbour rows, since f is then not their sum."""
     if scenario.drops_neighbours:
         most = scenario.sensing_graph.most_neighbours(scenario.n_robots)
         raise ValueError(
             f"scenario has neighbour_slots {scenario.neighbour_slots} with neighbour_overflow "
-            f"'nearest'; no filter can keep a guarantee where neighbours are left out: give it "
+            f"'nearest'; no filter has a guarantee if neighbours are omitted: give it "
             f"neighbour_slots={most} or more"
         )
 
@@ -157,29 +157,29 @@ class SafetyFilter(StatefulMixin):
         safety_filter.update(contact, merged_into)         # if safety_filter.uses_feedback
 
     Choices are held until the next ones; ``apply`` without choices uses them again. A subclass
-    writes ``compute``, in NumPy, or ``apply_calls``, compiled; and adds to ``_memory`` and
+    overrides ``compute``, in NumPy, or ``apply_calls``, compiled, and extends ``_memory`` and
     ``diagnostics``. Its constructor takes ``(scenario, num_envs, *, num_threads=None, …)`` and
-    settings by name. A ValueError names an invalid setting. ``register_filter`` gives the class a
-    name.
+    settings by name. A ValueError names an invalid setting. ``register_filter`` registers the class
+    by name.
 
-    The methods ``observe_calls``, ``apply_calls`` and ``update_calls`` are those of the same name
-    for the environments of one slice, unchecked: calls of compiled code, which threads make.
+    ``observe_calls``, ``apply_calls`` and ``update_calls`` return the same work for the
+    environments of one slice, without validation, as calls of compiled code for threads.
 
     Args:
         scenario: the scenario of the environments.
         num_envs: B.
-        action_size: k, the number of numbers in the choice of a robot.
+        action_size: k, size of a robot's choice.
         frame: "net_bearing" (x along f; single integrators only, nonholonomic robots keep the body
             frame) or "local".
         num_threads: maximum number of threads; None is one per core.
     """
 
-    chooses_vectors = True  # whether a choice is a vector, which turns with the frame it is seen in
-    lowest_choice = -1.0  # the least that each number of a choice can be; the most is 1
+    chooses_vectors = True  # whether a choice is a vector, which rotates with the observation frame
+    lowest_choice = -1.0  # lower bound of each number of a choice; the upper bound is 1
     uses_feedback = False  # whether ``update`` has to be called after every step
     reuses_calls = False  # whether calls can be made again in further steps, with the same arrays
-    state_key = "filter"  # what its memory is called in a wrapper's state
-    observes_level = False  # whether ``observe`` adds one row, the level of a robot's own tank
+    state_key = "filter"  # key of its memory in a wrapper's state
+    observes_level = False  # whether ``observe`` adds a row with the robot's stored energy
 
     def __init__(
         self,
@@ -209,7 +209,7 @@ class SafetyFilter(StatefulMixin):
         self.lyapunov_rate = np.zeros((num_envs, n))
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Take the old names of what a subclass overrides for the new ones."""
+        """Accept former names of overridden attributes in subclasses."""
         super().__init_subclass__(**kwargs)
         if {"apply_calls", "update_calls"} & vars(cls).keys() and "reuses_calls" not in vars(cls):
             cls.reuses_calls = False
@@ -224,13 +224,13 @@ class SafetyFilter(StatefulMixin):
 
     @property
     def action_diagnostics(self) -> list[NDArray[Any]]:
-        """The diagnostics that describe actions: all that are no memory."""
+        """Diagnostics of actions: all that are not in the memory."""
         remembered = list(map(id, self._memory.values()))
         return [values for values in self.diagnostics.values() if id(values) not in remembered]
 
     @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
-        """State from step to step, by name; not copied."""
+        """Memory by name; not copied."""
         return {"frames": self._frames, "held": self._held}
 
     def _begin(self, which: Any) -> None:
@@ -288,7 +288,7 @@ class SafetyFilter(StatefulMixin):
             ValueError: for a wrong shape, or naming the robot whose choice is not finite.
         """
         given = check_actions(raw, self._held.shape, "(B, n, k)")
-        if given is not raw:  # which may be float64
+        if given is not raw:  # may be float64
             given = np.ascontiguousarray(floats("actions", raw))
         if self.along_net_bearing and self.chooses_vectors:
             _hold(given, self._frames, self._held)
@@ -310,7 +310,7 @@ class SafetyFilter(StatefulMixin):
             elapsed: time since the last actions, s, in which a heading may turn; None is τ.
 
         Returns:
-            Actions (B, n, a), float32; zero for robots without neighbours in sight.
+            Actions (B, n, a), float32; zero for robots without visible neighbours.
         """
         if choices is not None:
             self.hold(choices)
@@ -340,12 +340,13 @@ class SafetyFilter(StatefulMixin):
         merged_into: ArrayLike | None = None,
         resting: ArrayLike | None = None,
     ) -> None:
-        """Record the outcome of the step under the last actions; see ``uses_feedback``. A
-        ValueError for an impossible outcome changes nothing.
+        """Update the memory with the outcome of the last actions; see ``uses_feedback``.
+
+        A ValueError for an impossible outcome leaves the memory unchanged.
 
         Args:
             contact: (B, n) bool, whether the robot was in contact with an obstacle; None is False.
-            merged_into: (B, n) int, the robot that each one is part of now; None is itself.
+            merged_into: (B, n) int, the robot that each one has merged into; None is itself.
             resting: (B,) bool, environments that did not step; None is False.
         """
         team = self._held.shape[:2]
@@ -369,21 +370,23 @@ class SafetyFilter(StatefulMixin):
 
     @cached_property
     def supports_multi_step(self) -> bool:
-        """True if ``apply``, ``compute``, ``observe`` and ``update`` are those above, so that a
-        thread can take its slice through many steps without waiting (``Simulator.step_n``).
+        """True if ``Simulator.step_n`` can use this filter.
+
+        ``apply``, ``compute``, ``observe`` and ``update`` are then those of this class, and threads
+        make many steps without synchronisation.
         """
         own, names = type(self), ("apply", "compute", "observe", "update")
         return all(getattr(own, name) is getattr(SafetyFilter, name) for name in names)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """As ``Remembering.check_state``; frames are rotations."""
+        """As ``StatefulMixin.check_state``; frames must be rotations."""
         checked = super().check_state(state)
         check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
         return checked
 
 
 def _alias(old: str, new: str) -> property:
-    """The attribute of a new name under its old name, for ``super()`` too."""
+    """Alias of a renamed attribute under its former name, also for ``super()``."""
 
     def read(self: SafetyFilter) -> Any:
         warn_renamed(f"SafetyFilter.{old}", "apply" if old == "act" else new)

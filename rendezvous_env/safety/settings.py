@@ -1,4 +1,4 @@
-"""Validation of settings shared by filters: margins ε, bearing errors η, vectors."""
+"""Validation of settings shared by filters: minimum alignment ε, bearing errors η, vectors."""
 
 import math
 from typing import Any
@@ -11,7 +11,7 @@ from ..scenario.scenario import Scenario
 from ..sensors.sensing import Sensing
 
 SMALLEST_MARGIN = 1e-6
-"""Minimum margin ε and share λ: time bounds grow with 1/ε² and 1/λ, and rounding dominates."""
+"""Smallest valid ε and λ: time bounds grow with 1/ε² and 1/λ, and rounding dominates."""
 TANK_MARGIN = 0.05
 """Default ε of tanks."""
 MAX_TURN_RATE = 3.0
@@ -19,14 +19,14 @@ MAX_TURN_RATE = 3.0
 
 
 def check_share(name: str, value: Any) -> float:
-    """ε or λ, a number without unit, if 10⁻⁶ ≤ ε ≤ 1, else a ValueError (theorems B and R c)."""
+    """Validate ε or λ, a number without unit, 10⁻⁶ ≤ ε ≤ 1 (theorems B and R c)."""
     if not SMALLEST_MARGIN <= (share := to_float(value)) <= 1:
         raise_invalid(name, value, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
     return share
 
 
 def check_margin(min_alignment: Any) -> float:
-    """ε, a number without unit, if 10⁻⁶ ≤ ε < 1, else a ValueError (theorems C and D)."""
+    """Validate ε, a number without unit, 10⁻⁶ ≤ ε < 1 (theorems C and D)."""
     if not SMALLEST_MARGIN <= (margin := to_float(min_alignment)) < 1:
         raise_invalid(
             "min_alignment", min_alignment, f"at least {SMALLEST_MARGIN:g} and less than 1"
@@ -35,7 +35,7 @@ def check_margin(min_alignment: Any) -> float:
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
-    """Refuse numbers unless ε is a margin and 0 < δ < ∞, m/s, in a ValueError (theorem C)."""
+    """Validate the numbers ε and δ, 0 < δ < ∞, m/s (theorem C)."""
     check_margin(min_alignment)
     if not 0 < to_float(dead_zone) < math.inf:
         raise_invalid("dead_zone", dead_zone, "positive and finite (m/s)")
@@ -44,9 +44,7 @@ def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
 def check_vectors(
     name: str, value: ArrayLike, like: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Finite vectors (..., d) of any unit, d = 2 or 3, float64, in the shape of ``like``; others
-    are refused in a ValueError.
-    """
+    """Validate finite vectors (..., d), any unit, d = 2 or 3, in the shape of ``like``; float64."""
     vectors = floats(name, value)
     if like is not None and vectors.shape != like.shape:
         raise ValueError(f"{name} has shape {vectors.shape}; net_bearing has {like.shape}")
@@ -59,7 +57,7 @@ def check_vectors(
 
 
 def check_bearing_error(bearing_error: Any) -> float:
-    """η, a number, rad, if it is from 0 to π/2, else a ValueError (theorems N1' and R d)."""
+    """Validate η, a number, rad, 0 ≤ η ≤ π/2 (theorems N1' and R d)."""
     return number("bearing_error", bearing_error, 0.0, math.pi / 2.0, "rad")
 
 

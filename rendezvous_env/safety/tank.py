@@ -1,6 +1,6 @@
 """Energy-tank filter: any motion while stored energy lasts, else law (4) (theorem D).
 
-See docs/guarantees.md, section 8. Each robot keeps its own ledger from its own bearings. Vectors
+See docs/guarantees.md, section 8. Each robot updates its tank from its own bearings. Vectors
 are pairs or triples in one frame. Bearing errors η cause an error of f of at most e = 2 sin(η/2) D,
 m/s.
 """
@@ -62,13 +62,12 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
 
 
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
-    """Velocity of law (4) along the desired line, a pair or triple, m/s, with the required
-    decrease.
+    """Velocity of law (4) along the desired line with the required decrease, pair or triple, m/s.
 
         v = s max(0, hᵀf − e) h,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖
 
-    ``wanted`` has any length; the direction is f/‖f‖ if it is zero. f is not zero. The kernel of
-    tanks splits both vectors in loops of their own and calls ``_law``.
+    ``wanted`` has any length; the direction is f/‖f‖ if it is zero. f is not zero. The tank kernel
+    splits both vectors in separate loops and calls ``_law``.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
     h = h if length > 0.0 else towards
@@ -91,7 +90,7 @@ def _spend(axes, robots, robot, arrays, work):
     Robots without a visible neighbour stop at no cost.
     """
     numbers, room = work
-    if numbers.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+    if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
     observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
     alignment, lyapunov_rate = arrays[7:]
@@ -138,7 +137,7 @@ def _spend(axes, robots, robot, arrays, work):
 
 @inner_kernel(inline="text")
 def _owe(axes, lanes, robot):
-    """Length and direction of f in lanes, the factor s, and the promised decrease of V."""
+    """Length and direction of f in lanes, the factor s, and the guaranteed decrease of V."""
     margin, duration = robot.gate.min_alignment, robot.gate.duration
     for lane in range(LANES):
         lanes.strength[lane], towards = split(read(lanes.f, lane, axes))
@@ -242,10 +241,10 @@ def _driven(m, action, limit, gate):
 
 @kernel
 def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow_v):
-    """Book A ← max(A + G, 0) in place (theorem D); negative values are rounding.
+    """Update A ← max(A + G, 0) in place (theorem D); negative values are rounding.
 
-    In a step with contact only losses are booked, since pressing against a wall would otherwise
-    fill the tank.
+    In a step with contact only losses count, since pressing against a wall would otherwise fill the
+    tank.
     """
     first, stop = teams[0], teams[1]
     for team in range(first, stop):
@@ -283,7 +282,7 @@ def _hand_over(levels, linked, merged_into, follow_v):
 
 
 _LARGEST = float(np.finfo(np.float32).max)
-_FULLEST = 1e60  # level that no episode can have, m²/s: sums of such levels are still finite
+_FULLEST = 1e60  # m²/s; above any level of an episode, with finite sums
 
 
 def unit_of_tanks(scenario: Scenario) -> float:
@@ -300,16 +299,16 @@ class EnergyTank(SafetyFilter):
         A ← A + G(Δ),   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²              (guarantees 8)
 
     A desired velocity is executed where A + G ≥ 0, else law (4) along it; G is that of the
-    commanded float32 action. The ledger of nonholonomic robots has no term ε²; with an empty tank
-    they turn through the gate and drive with v = s mᵀf. A policy, which does not observe contacts
-    and merges, calls ``update()`` without arguments after each ``apply``.
+    commanded float32 action. For nonholonomic robots G has no term ε²; with an empty tank they turn
+    through the gate and drive with v = s mᵀf. A policy, which does not observe contacts and merges,
+    calls ``update()`` without arguments after each ``apply``.
 
     Args:
         scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         budget: B_i, initial stored energy of every robot, m²/s.
         min_alignment: ε, at least 10⁻⁶ and less than 1.
         observe_level: whether ``observe`` appends a row (A/(r D̄), 0, …).
-        bearing_error: η, rad, maximum bearing error covered by the ledger.
+        bearing_error: η, rad, maximum bearing error covered by the guarantee.
     """
 
     state_key = "tank"
@@ -364,7 +363,7 @@ class EnergyTank(SafetyFilter):
         self._linked[which] = self.carried_out[which] = False
 
     def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
-        """As ``SafetyFilter.observe_calls``; the row of the level last."""
+        """As ``SafetyFilter.observe_calls``; the last row is the stored energy."""
         calls, mine = super().observe_calls(part, observations, shown), slice(*part[:2])
         return [*calls, partial(self._show_levels, mine, shown)] if self.observes_level else calls
 
@@ -376,7 +375,7 @@ class EnergyTank(SafetyFilter):
     def apply_calls(
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> Calls:
-        """As ``SafetyFilter.apply_calls``; the gain of the step is booked by ``update``."""
+        """As ``SafetyFilter.apply_calls``; ``update`` adds the gain of the step."""
         act: Any = _spend_bodies if self.turns_body else _spend
         told: tuple[NDArray[Any], ...] = self._deposits, self.carried_out
         told = *told, self.alignment, self.lyapunov_rate
@@ -386,13 +385,13 @@ class EnergyTank(SafetyFilter):
         return over_robots(act, part, self._robot, observations, *memory, *told)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
-        """As ``SafetyFilter.update_calls``; a step truncated by a merge is booked as commanded."""
+        """As ``SafetyFilter.update_calls``; a step truncated by a merge counts as commanded."""
         account = self._levels, self._deposits, self._linked
         step = contact, merged_into, resting
         return [partial(_book, part, *account, *step, self._follow_v)]
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """As ``SafetyFilter.check_state``; no level is below zero."""
+        """As ``SafetyFilter.check_state``; levels must not be negative."""
         checked = super().check_state(state)
         levels = checked["levels"]
         wrong = (levels < 0) | (levels > _FULLEST)

@@ -23,8 +23,9 @@ TINY = 1e-300  # rad/s; a limit of 0 counts as this
 
 
 def yaw_rate_law(left: Any, pitch: Any) -> Any:
-    """Yaw rate of law (17), any shape, rad/s, huge but finite at β = ±π/2: α̇ = f_y / cos β, f_y,
-    m/s, the net bearing's part along the body's left.
+    """Yaw rate of law (17), any shape, rad/s: α̇ = f_y / cos β, large but finite at β = ±π/2.
+
+    f_y, m/s, is the component of the net bearing along the body's left.
     """
     cos_pitch = np.cos(pitch)
     return left / np.copysign(np.maximum(np.abs(cos_pitch), SMALLEST_COSINE), cos_pitch)
@@ -46,11 +47,11 @@ class Robot(NamedTuple):
 
     neighbour_slots: int
     obstacle_slots: int
-    gravity_row: int  # the first that shows neither neighbours nor obstacles
+    gravity_row: int  # the first after neighbours and obstacles
     turns: bool  # whether they are nonholonomic
     merge_radius: float
     speed_limit: float  # m/s
-    error_chord: float  # 2 sin(η/2), without unit: f is wrong by so much of D
+    error_chord: float  # 2 sin(η/2), without unit: relative error of f, in units of D
     gate: Gate
 
 

@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import floats
+from ..deprecation import renamed_attribute
 from ..field_docs import lists_fields
 from ..field_repr import repr_of_changes
 
-SILHOUETTE_POINTS = {2: 2, 3: 8}
+ROWS_PER_OBSTACLE = {2: 2, 3: 8}
 """Rows per obstacle by dimension: both edges in the plane, eight boundary rays of its cone in
 3-D."""
-_TYPES = (np.dtype(np.float32), np.dtype(np.float64))  # of numbers that compiled policies take
+_TYPES = (np.dtype(np.float32), np.dtype(np.float64))  # of the arrays that compiled policies accept
 
 
 class ObservedRows(NamedTuple):
@@ -34,16 +35,16 @@ class ObservedRows(NamedTuple):
 class ObservationLayout:
     """Rows of an observation ``(..., rows, d)``: neighbours, obstacles, then gravity or velocity.
 
-    An absent row is zero. In teams of several models the last row is that of each robot's model.
+    An absent row is zero. In mixed teams the last row is that of each robot's model.
     """
 
     dim: int
     """Dimension d, 2 or 3."""
     neighbour_slots: int
-    """K, the most neighbours that a robot can have. With n − 1 each other robot has its own row, in
-    index order; with fewer those present stand first."""
+    """K, the maximum number of neighbours of a robot. With n − 1 each other robot has its own row,
+    in index order; with fewer rows, present neighbours come first."""
     obstacle_slots: int = 0
-    """M, obstacles that an observation has room for."""
+    """M, the number of obstacles in an observation."""
     senses_gravity: bool = False
     """True if the last row is the direction of gravity (3-D nonholonomic robots)."""
     senses_velocity: bool = False
@@ -51,10 +52,12 @@ class ObservationLayout:
 
     __repr__ = repr_of_changes
 
+    silhouette_points = renamed_attribute("silhouette_points", "rows_per_obstacle")
+
     @property
-    def silhouette_points(self) -> int:
+    def rows_per_obstacle(self) -> int:
         """S, number of rows per obstacle."""
-        return SILHOUETTE_POINTS[self.dim]
+        return ROWS_PER_OBSTACLE[self.dim]
 
     @property
     def neighbours(self) -> slice:
@@ -65,7 +68,7 @@ class ObservationLayout:
     def obstacles(self) -> slice:
         """Slice of the obstacle rows, which reshape to (M, S, d)."""
         start = self.neighbour_slots
-        return slice(start, start + self.obstacle_slots * self.silhouette_points)
+        return slice(start, start + self.obstacle_slots * self.rows_per_obstacle)
 
     @property
     def gravity(self) -> slice:
@@ -99,7 +102,7 @@ class ObservationLayout:
         """
         observations = self.checked(self.unflattened(observations))
         leading = observations.shape[:-2]
-        points = (self.obstacle_slots, self.silhouette_points, self.dim)
+        points = (self.obstacle_slots, self.rows_per_obstacle, self.dim)
         return ObservedRows(
             neighbours=observations[..., self.neighbours, :],
             obstacles=observations[..., self.obstacles, :].reshape(*leading, *points),
@@ -119,7 +122,7 @@ class ObservationLayout:
         if not isinstance(observations, np.ndarray) or observations.dtype not in _TYPES:
             observations = floats("observations", observations)
         if observations.shape[-2:] != self.shape:
-            wanted = f"(..., {self.rows}, {self.dim}); ``unflattened`` makes these of flat ones"
+            wanted = f"(..., {self.rows}, {self.dim}); ``unflattened`` converts flat ones"
             raise ValueError(
                 f"observations have shape {observations.shape}; this layout needs {wanted}"
             )

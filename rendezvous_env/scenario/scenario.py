@@ -104,10 +104,9 @@ class Scenario:
     """Sensing graph: a Graph, a name, a list of edges (i, j) or (i, j, a_ij), or a networkx
     graph. Also a symmetric (n, n) matrix of weights a_ij in m/s, dense or sparse."""
     require_connected: bool = True
-    """True if to reject a graph that is not connected, on which rendezvous is impossible
-    (theorem 1). A directed graph needs a robot that is reachable from all others; a switching
-    graph is judged by its union. With a proximity graph, initial conditions are sampled
-    connected."""
+    """Reject a graph that is not connected, on which rendezvous is impossible (theorem 1). A
+    directed graph needs a robot that is reachable from all others; for a switching graph the union
+    is checked. With a proximity graph, initial conditions are sampled connected."""
     merge_radius: Metres = 0.2
     """Merge radius r, m: neighbours at most this far apart merge into one robot."""
     body_radius: Annotated[_Each, _limit("m")] | None = None
@@ -125,7 +124,7 @@ class Scenario:
     single integrators, None is r/(2D), with D the ``step_degree``; laws and wrappers then scale
     velocities."""
     allow_long_step: bool = False
-    """True if to suppress the warning about a time step longer than the certified one."""
+    """Suppress the warning about a time step longer than the certified one."""
     time_limit: Seconds = 30.0
     """Episode length, s, rounded up to whole steps."""
     max_speed: Annotated[_Each, _limit("m/s")] | None = None
@@ -152,8 +151,8 @@ class Scenario:
     """Contact model: slide along the obstacle, stop, or ignore it. Touching or overlapping
     obstacles act as their union; gaps below 1.8 µm are closed."""
     obstacle_push: Literal["push", "stop"] = "push"
-    """Obstacles that move ("rv.Moving") push robots, or stop at them until they are free. Where a
-    robot is between an obstacle and a wall, the obstacle stops in either case."""
+    """Moving obstacles ("rv.Moving") push robots, or stop at them until the path is free. They stop
+    in either case if a robot is between the obstacle and a wall."""
     merge_through_obstacles: bool = True
     """True if robots merge through an obstacle thinner than ``merge_radius``. With False they
     merge only if no obstacle is between them. Until then they may be closer than r and V can
@@ -194,10 +193,10 @@ class Scenario:
         default_factory=Activation
     )
     """Clocks of the robots: "synchronous", "periodic", "random", "bounded", or an Activation with
-    periods, a probability or a bound. Robots that are not active ignore their action."""
+    periods, a probability or a bound. The actions of inactive robots are ignored."""
     hold: Literal["command", "stop"] = "command"
-    """Robots that are not active keep their last command, or stand still (zero action). No effect
-    while robots are synchronous."""
+    """Inactive robots repeat their last command, or have zero action. No effect with synchronous
+    activation."""
 
     events: Annotated[Events, field_checks.of_class(Events)] = dataclasses.field(
         default_factory=Events
@@ -208,7 +207,7 @@ class Scenario:
     __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
-        self._check_lists()  # before equal entries become one value
+        self._check_lists()  # before lists of equal entries become one value
         field_checks.check_fields(self)
         if self.mixes_models:
             check_members(self.robot_model, self.models, self.dim)  # type: ignore[arg-type]
@@ -235,7 +234,7 @@ class Scenario:
     def model(self) -> RobotModel:
         """Robot model; ValueError if it is not registered, e.g. after unpickling.
 
-        That of a team of several models is a model of its own, see ``robots.mixed_team``.
+        A mixed team has a model of its own, see ``robots.mixed_team``.
         """
         if isinstance(self.robot_model, tuple):
             return mixed_model(self.models)
@@ -267,9 +266,7 @@ class Scenario:
 
     @cached_property
     def bottleneck_weight(self) -> float:
-        """Worst-case bottleneck weight a*, m/s; see ``GraphNumbers.bottleneck_weight`` (theory
-        3).
-        """
+        """Worst-case bottleneck weight a*, m/s (theory 3); see ``GraphNumbers``."""
         return float(self.sensing_graph.bottleneck_weight(self.n_robots))
 
     @property
@@ -291,7 +288,7 @@ class Scenario:
 
     @property
     def dead_zone(self) -> float:
-        """δ = a*/(2n), m/s: a certified heading need not follow a net bearing shorter than δ."""
+        """δ = a*/(2n), m/s: for shorter net bearings, certified headings are unconstrained."""
         return self.bottleneck_weight / (2 * self.n_robots)
 
     @property
@@ -343,7 +340,7 @@ class Scenario:
 
     @property
     def delay_steps(self) -> int:
-        """Steps by which observations are late, the largest number of all robots."""
+        """Delay of observations in steps; the largest of the robots."""
         return int(self.sensing.delays(self.n_robots, self.tau).max())
 
     @property
@@ -403,7 +400,7 @@ class Scenario:
 
     @property
     def min_turn_limit(self) -> float:
-        """Turn rate limit of the robot that turns slowest, rad/s."""
+        """Smallest turn rate limit of the robots, rad/s."""
         given = self.max_turn_rate
         return _least(given) if isinstance(given, tuple) else self.turn_limit
 
@@ -436,8 +433,8 @@ class Scenario:
     def action_mask(self) -> NDArray[np.bool_]:
         """True for components of an action that a robot has, (n, a).
 
-        In teams of several models actions are padded to the widest; a robot has the first ones, and
-        the others have no effect.
+        In mixed teams actions are padded to the widest; a robot uses the first components, and the
+        others have no effect.
         """
         widths = np.array([len(bounds) for bounds in self._listed_bounds])
         return np.arange(widths.max()) < widths[:, np.newaxis]
@@ -468,20 +465,18 @@ class Scenario:
 
     @property
     def drops_neighbours(self) -> bool:
-        """True if a robot may have more neighbours than rows, so that only the nearest are
-        observed.
-        """
+        """True if only the nearest neighbours are observed, since there may be more than rows."""
         slots, most = self.neighbour_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return self.neighbour_overflow == "nearest" and slots is not None and slots < most
 
     @property
     def obstacle_places(self) -> int:
-        """Number of obstacles that an episode has room for."""
+        """Maximum number of obstacles in an episode."""
         return max(obstacles.max_count(self.obstacles), self.observation_layout.obstacle_slots)
 
     @property
     def indexes_obstacles(self) -> bool:
-        """True if a spatial index finds the obstacles near robots: given ones, many, in 2-D."""
+        """True if a spatial index is used: for many given obstacles in 2-D."""
         given = self.obstacles if self.dim == 2 and isinstance(self.obstacles, tuple) else ()
         many = len(given) > 0 and self.obstacle_places >= spatial_index.INDEX_FROM
         return many and all(isinstance(one, spatial_index.SHAPES) for one in given)
@@ -549,7 +544,7 @@ class Scenario:
         plain["events"] = self.events.to_plain() or None
         plain["hold"] = None if self.hold == "command" else self.hold
         plain["merge_through_obstacles"] = False if not self.merge_through_obstacles else None
-        for key in ("neighbour_overflow", "obstacle_overflow"):  # younger than files of scenarios
+        for key in ("neighbour_overflow", "obstacle_overflow"):  # added after the file format
             plain[key] = None if plain[key] == "error" else plain[key]
         if isinstance(self.spawn_size, tuple):
             plain["spawn_size"] = list(self.spawn_size)
@@ -598,9 +593,7 @@ class Scenario:
         self._check_slots("obstacle_slots", least, MAX_OBSTACLES, wanted)
 
     def _check_bodies(self) -> None:
-        """Check that bodies cannot overlap: every pair docks at r, or bodies stop (guarantees
-        13).
-        """
+        """Check that bodies cannot overlap: pairs merge at r, or bodies stop (guarantees 13)."""
         packs, n, radius = self.meeting == "pack", self.n_robots, self.body_radius
         if radius is None:
             if packs:
@@ -613,7 +606,9 @@ class Scenario:
             checks.raise_invalid("body_radius", radius, most)
         graph = self.sensing_graph
         if graph.directed or not graph.fixed or graph.most_links(n) < n * (n - 1) // 2:
-            raise ValueError("graph must be complete with a body_radius: others would not stop")
+            raise ValueError(
+                "graph must be complete with a body_radius: unlinked robots would overlap"
+            )
         if not self.merges_through:
             wanted = "True with a body_radius: bodies on both sides of a wall would overlap"
             checks.raise_invalid("merge_through_obstacles", False, wanted)

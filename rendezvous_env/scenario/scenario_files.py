@@ -21,13 +21,13 @@ def read(path: _PathLike) -> dict[str, Any]:
     with _possible(path) as file:
         content = file.read_bytes()
     try:
-        return tomllib.loads(content.decode("utf-8-sig"))  # editors of Windows begin with a mark
+        return tomllib.loads(content.decode("utf-8-sig"))  # Windows editors write an order mark
     except (RecursionError, ValueError) as error:
         reason = f"not a TOML file: {short_repr(str(error))[1:-1]}"
         if isinstance(error, UnicodeDecodeError):
             reason += "; save it as UTF-8"
         if isinstance(error, RecursionError):
-            reason = "its tables and lists are nested too deep"
+            reason = "its tables and lists are nested too deeply"
         raise ValueError(f"{short_repr(str(path))[1:-1]}: {reason}") from error
 
 
@@ -35,8 +35,8 @@ def with_map(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Plain data of a scenario with the obstacles of a map file, if it refers to one.
 
     ``obstacles`` is then a table of kind "map" with the ``path`` of the map, relative to the folder
-    of the scenario, and options of ``from_map``. A ``clearance`` in it also gives the region of
-    starts, see ``ObstacleMap.scenario_fields``; other keys of the file override that.
+    of the scenario, and options of ``from_map``. A ``clearance`` in it also sets the start region,
+    see ``ObstacleMap.scenario_fields``; other keys of the file override that.
     """
     table = plain.get("obstacles")
     if not isinstance(table, dict) or table.get("kind") != "map":
@@ -71,7 +71,7 @@ def write(path: _PathLike, plain: dict[str, Any]) -> None:
 
 @contextmanager
 def _possible(path: _PathLike) -> Iterator[Path]:
-    """The path of a file; one that no file can have is refused."""
+    """Validated path of a file."""
     if not isinstance(path, str | os.PathLike):
         raise_invalid("path", path, "the path of a TOML file")
     try:
@@ -79,6 +79,6 @@ def _possible(path: _PathLike) -> Iterator[Path]:
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
-        raise ValueError(f"path is {short_repr(str(path))}; it is too long for a file") from error
+        raise ValueError(f"path is {short_repr(str(path))}; it is too long for a path") from error
     except ValueError as error:
-        raise ValueError(f"path is {short_repr(str(path))}; no file can be called that") from error
+        raise ValueError(f"path is {short_repr(str(path))}; it is not a valid path") from error

@@ -20,15 +20,15 @@ ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
 Fields = dict[str, Any]
 """Non-default fields of a scenario as plain data, validated on access."""
 
-# The experiment of theory 6: the long step is meant, V still falls with it.
+# The experiment of theory 6: the long step is intended; V still decreases.
 _AMONG_OBSTACLES: Fields = {
     "max_speed": 1.0,
     "time_step": 0.05,
     "allow_long_step": True,
     "time_limit": 60.0,
 }
-# Field and start are our own choice, an obstacle in the way of every robot: the paper prints no
-# coordinates.
+# The paper gives no coordinates: obstacles and initial positions are our choice, with an obstacle
+# in the path of every robot.
 _FIGURE: Fields = {
     "n_robots": 3,
     "start_positions": [[-4.0, -3.0], [4.5, -2.0], [0.5, 4.5]],
@@ -50,7 +50,7 @@ def _clutter(discs: int, robots: int = 4, **more: Any) -> Fields:
 
 
 def _walls(layout: str, size: list[float], opening: list[float], spawn_size: float) -> Fields:
-    """Walls longer than the team: most paths around them raise V, which law (4) cannot do."""
+    """Walls longer than the team: most paths around them increase V, which law (4) cannot do."""
     walls = {"layout": layout, "size": size, "opening": opening, "thickness": 0.5}
     placed = {**walls, "region": 2.0, "keep_out": 0.5}
     return {"obstacles": placed, "spawn_size": spawn_size, **_AMONG_OBSTACLES}
@@ -86,8 +86,8 @@ def _turning(fields: Fields, turn_rate: float) -> Fields:
     return {**fields, **turns}
 
 
-# After Hüttenrauch, Šošić & Neumann (2019), with bearings alone; docs/scenarios.md says what is not
-# kept. Who is far away is not seen, but is met all the same.
+# After Hüttenrauch, Šošić & Neumann (2019), with bearings only; docs/scenarios.md lists the
+# differences. Distant robots are not observed, but must be met.
 _HUETTENRAUCH: Fields = {
     "n_robots": 20,
     "robot_model": "unicycle",
@@ -99,8 +99,8 @@ _HUETTENRAUCH: Fields = {
     "max_turn_rate": math.pi,
     "spawn_size": 90.0,
 }
-# Law (4) does not survive switching (guarantees, section 10): the three paths of three robots, one
-# after another.
+# Law (4) can fail on switching graphs (guarantees, section 10): the three paths of three robots in
+# sequence.
 #
 # At an end of the path f is one bearing. A heading on the edge of the cap, hᵀf = ε‖f‖, turned away
 # from the other end, moves it by ε(ε g + √(1 − ε²) g⊥): mostly along the hull's outside. In an
@@ -108,7 +108,7 @@ _HUETTENRAUCH: Fields = {
 #
 #     L' = √3 ε √(1 − ε²) − 6 ε² > 0   for   ε < 1/√13 = 0.277
 #
-# and as the middle goes round, the triangle stays equilateral and L' the same.
+# and as the middle alternates, the triangle stays equilateral and L' the same.
 _PATHS = [[[middle, end] for end in range(3) if end != middle] for middle in range(3)]
 _ROTATING_PATHS: Fields = {
     "n_robots": 3,
@@ -116,8 +116,8 @@ _ROTATING_PATHS: Fields = {
     "start_positions": [[0.0, 1.0], [-(0.75**0.5), -0.5], [0.75**0.5, -0.5]],
     "time_limit": 400.0,
 }
-# After the open code RSSDOA, without its signal strengths; docs/scenarios.md says what is not kept.
-# No start can be certain to keep its links: 14 merges may lengthen one by 0.7 m.
+# After the open code RSSDOA, without its signal strengths; docs/scenarios.md lists the differences.
+# No initial condition is certain to keep its links: 14 merges may lengthen one by 0.7 m.
 _RSSDOA: Fields = {
     "n_robots": 15,
     "graph": "proximity",
@@ -151,7 +151,7 @@ def _robotarium(robots: int) -> Fields:
 
 
 def _utias(robots: int, spawn_size: float | list[float], **more: Any) -> Fields:
-    """Robots of the MRCLAM logs: speed and turn rate as driven there, cameras as measured."""
+    """Robots of the MRCLAM logs, with their speeds, turn rates and measured cameras."""
     return {
         "n_robots": robots,
         "robot_model": "unicycle",
@@ -167,7 +167,7 @@ def _utias(robots: int, spawn_size: float | list[float], **more: Any) -> Fields:
     }
 
 
-# Discs that hide robots, as the barriers of MRCLAM data set 9 do; their sizes are our own choice.
+# Discs that occlude robots, as the barriers of MRCLAM data set 9 do; their sizes are our choice.
 _UTIAS_DISCS: Fields = {
     "obstacles": {"count": 8, "radius": [0.2, 0.5], "region": 6.0, "keep_out": 0.3},
     "sensing": dataclasses.replace(Sensing.mrclam(), occlusion="obstacles"),
@@ -205,7 +205,7 @@ def _moved(key: str, value: Any, x: float, y: float) -> Any:
     return value
 
 
-# Three lanes of traffic across the area, one with a long vehicle, and a disc that wanders about.
+# Three lanes of traffic across the area, one with a long vehicle, and a disc on a random walk.
 _VEHICLE: Fields = {"vertices": [[-1.2, -0.5], [1.2, -0.5], [1.2, 0.5], [-1.2, 0.5]]}
 _BAR: Fields = {"ends": [[0.0, -0.8], [0.0, 0.8]], "radius": 0.4}
 _CROSSING_TRAFFIC: Fields = {
@@ -293,7 +293,7 @@ _FIELDS: dict[str, Fields] = {
         "events": {"n_crashed": 1, "slip": 0.2},
         "time_limit": 60.0,
     },
-    # discs that stand in the way of sight as of robots, and robots that hide one another
+    # discs and robots that occlude other robots
     "occluded-8": {**_clutter(8, 8), "sensing": {"occlusion": "both"}},
     "range-12": {
         "n_robots": 12,
@@ -331,7 +331,7 @@ _NAME = re.compile(rf"(?:{NAMESPACE}/)?(?P<plain>.+?)(?P<version>-v\d+)?")
 
 @cache
 def digests() -> dict[str, str]:
-    """Digests of the first initial conditions (``first_starts.digest``) by name and version.
+    """Digests of the first initial conditions by name and version.
 
     The number of entries is the version of a scenario; a changed digest requires a new version.
     """
@@ -372,7 +372,8 @@ def get(name: str) -> Scenario:
         )
     if parts["version"] and f"{NAMESPACE}/{plain}{parts['version']}" != versioned(plain):
         raise ValueError(
-            f"scenario {short_repr(name)} is of another version; here it is {versioned(plain)}, "
+            f"scenario {short_repr(name)} is of another version; the current one is "
+            f"{versioned(plain)}, "
             "and "
             "results of different versions do not compare"
         )
@@ -380,11 +381,10 @@ def get(name: str) -> Scenario:
 
 
 def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:
-    """A scenario from a Scenario, a name, the path of a TOML file or plain data, with some fields
-    changed.
+    """Scenario from a Scenario, a name, a TOML path or plain data, with some fields changed.
 
     Raises:
-        ValueError: for anything else, or an unknown name or field, or an impossible value.
+        ValueError: for anything else, or an unknown name or field, or an invalid value.
         FileNotFoundError: if there is no such file.
     """
     if isinstance(scenario, Mapping):

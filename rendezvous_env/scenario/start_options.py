@@ -40,13 +40,13 @@ class StartOptions(NamedTuple):
 
 
 def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | None) -> StartOptions:
-    """Check the options of a reset of B teams, see ``Simulator.reset``.
+    """Validate the options of a reset of B environments, see ``Simulator.reset``.
 
     An unknown key is ignored, as in Gymnasium. One that is similar to an option is rejected, and so
     is a field of the scenario, since a reset does not change it.
 
     Raises:
-        ValueError: naming the option, its value and what would be right.
+        ValueError: for an invalid option; the message gives its value and a remedy.
     """
     options = as_options(options)
     fields = ["max_cycles", *(field.name for field in dataclasses.fields(scenario) if options)]
@@ -57,7 +57,8 @@ def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | Non
             raise ValueError(f"options: {short_repr(key)} is not an option; did you mean {near!r}?")
         if field := nearest_word(key, fields, cutoff=0.8, parts=False):
             raise ValueError(
-                f"options: {short_repr(key)} is of the scenario, which a reset does not change; "
+                f"options: {short_repr(key)} is a field of the scenario, which a reset does not "
+                "change; "
                 f"make another environment with {field}=…; options are {', '.join(OPTIONS)}"
             )
     values = ((options.get(key), read) for key, read in _READERS.items())
@@ -104,7 +105,7 @@ def _positions(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
 def _angles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     n, width = scenario.n_robots, scenario.model.n_angles
     if width == 0:
-        none = f"{scenario.robot_model} robots have none"
+        none = f"{scenario.robot_model} robots have no heading"
         raise ValueError(f'headings: {none}; give "frames" instead')
     array = floats("headings", value)
     if width == 1 and array.shape in ((n,), (num_envs, n)):
@@ -156,18 +157,20 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
     if scenario.require_connected and (why := given.connectivity_error(n)) is not None:
         raise ValueError(f"weights are not connected: {why}")
     if scenario.body_radius is not None and given.most_links(n) < n * (n - 1) // 2:
-        raise ValueError("weights must link all robots with a body_radius: others would not stop")
+        raise ValueError(
+            "weights must link all robots with a body_radius: unlinked robots would overlap"
+        )
     degree = given.max_degree(n)
     if degree > scenario.max_degree * (1 + _ROUNDING):
         raise ValueError(
-            f"weights reach D = {degree:.6g} m/s; the scenario's step and limits stand on at most "
+            f"weights reach D = {degree:.6g} m/s; the scenario's step and limits assume at most "
             f"{scenario.max_degree:.6g}"
         )
     bottleneck = given.bottleneck_weight(n)
     if bottleneck < scenario.bottleneck_weight * (1 - _ROUNDING):
         raise ValueError(
             f"weights have the bottleneck a* = {bottleneck:.6g} m/s; the scenario's guarantee "
-            f"stands on at least {scenario.bottleneck_weight:.6g}"
+            f"assumes at least {scenario.bottleneck_weight:.6g}"
         )
     counts, slots = (weights > 0).sum(axis=1), scenario.observation_layout.neighbour_slots
     if counts.max() > slots:
@@ -179,14 +182,14 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
 def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     parsed = obstacles.parse(value, scenario.dim)
     if scenario.meeting == "pack" and parsed != ():
-        raise ValueError('obstacles: meeting="pack" is for teams without obstacles')
+        raise ValueError('obstacles: meeting="pack" does not support obstacles')
     if moves(parsed) or moves(scenario.obstacles):
         raise ValueError(
-            "obstacles: those given to a reset stand still, and replace none that move; put moving "
-            "ones into the scenario"
+            "obstacles: those given to a reset do not move, and replace no moving ones; define "
+            "moving ones in the scenario"
         )
     if not isinstance(parsed, tuple):
-        raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
+        raise ValueError("obstacles: give a list of obstacles; a field belongs in the scenario")
     slots = scenario.obstacle_places
     return pack(parsed, slots, obstacles.row_width(scenario.obstacles))[None]
 
@@ -229,7 +232,7 @@ def check_positions(
             i, j = min(coincident.T.tolist())
             place_of_both = f"{positions[i].tolist()}; they must not coincide"
             raise ValueError(
-                f"{field}: neighbours robot_{i} and robot_{j} both stand at {place_of_both}"
+                f"{field}: neighbours robot_{i} and robot_{j} are both at {place_of_both}"
             )
     if isinstance(standing, tuple) and scenario.obstacle_contact != "ignore":
         check_outside(field, positions, standing)
@@ -248,21 +251,21 @@ def check_apart(field: str, positions: NDArray[np.float64], body_radius: Any) ->
         i, j = divmod(int((distances - least).argmin()), len(positions))
         apart = f"{distances[i, j]:.4g} m apart; it must be"
         wanted = f"at least {format_limit(float(least[i, j]))} m, two body_radius"
-        raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart} {wanted}")
+        raise ValueError(f"{field}: robot_{i} and robot_{j} are {apart} {wanted}")
 
 
 def seeds_of_environments(seed: Any, num_envs: int) -> list[int | None] | None:
-    """A seed for each of B teams, None where it keeps its own; None if all do.
+    """Seed for each of B environments, None to keep the current one; None if all are kept.
 
-    One number s gives team i the seed s + i; a sequence or array gives each team its own. Each is
-    ``folded``.
+    One number s gives environment i the seed s + i; a sequence or array gives one per
+    environment. Each is ``folded``.
     """
     if seed is None:
         return None
     if isinstance(seed, np.ndarray):
         seed = seed.tolist()
     if not isinstance(seed, Sequence) or isinstance(seed, str | bytes):
-        first = check_seed(seed)  # the others follow on it
+        first = check_seed(seed)  # the others are s + i
         return [folded(first + team) for team in range(num_envs)]
     if len(seed) != num_envs:
         raise ValueError(
@@ -272,14 +275,14 @@ def seeds_of_environments(seed: Any, num_envs: int) -> list[int | None] | None:
 
 
 def check_seed(seed: Any) -> int:
-    """A seed, as Gymnasium takes them: any integer that is not negative."""
+    """Validated seed: as in Gymnasium, any nonnegative integer."""
     if not is_int(seed) or seed < 0:
         raise_invalid("seed", seed, "an integer, 0 or more")
     return int(seed)
 
 
 def folded(seed: int) -> int:
-    """The seed in use, below 2⁶³: larger ones as NumPy's ``SeedSequence`` folds them."""
+    """Seed in use, below 2⁶³; larger ones are folded by NumPy's ``SeedSequence``."""
     if seed <= LARGEST_SEED:
         return seed
     return int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> np.uint64(1))

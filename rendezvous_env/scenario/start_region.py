@@ -41,7 +41,7 @@ def check_region(scenario: Any) -> None:
     if region is None:
         return
     if scenario.dim != 2:
-        raise ValueError("start_region: polygons are of the plane; it must be None where dim is 3")
+        raise ValueError("start_region: polygons are 2-D; it must be None where dim is 3")
     extents = zip(*(vertex for one in region for vertex in one.vertices), strict=True)
     edges = [2.0 * max(map(abs, along)) for along in extents]
     if any(edge > limit for edge, limit in zip(edges, scenario.spawn_edges, strict=True)):

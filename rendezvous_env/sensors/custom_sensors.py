@@ -42,7 +42,7 @@ class ObservationBatch:
         """Random numbers in [0, 1), (B, *shape), keyed by seed, episode, step and imperfection."""
         numbers = np.empty((len(self.time), int(np.prod(shape))))
         salt = np.uint64(zlib.crc32(self._name.encode()))
-        with np.errstate(over="ignore"):  # of kernels that are left plain Python
+        with np.errstate(over="ignore"):  # as kernels without compilation require
             _fill(*self._keys, salt, numbers)
         return numbers.reshape(len(numbers), *shape)
 
@@ -93,11 +93,13 @@ def apply_custom(seen: ObservationBatch) -> None:
         IMPERFECTIONS[name](seen)
         if seen.neighbours is not tables[0] or seen.obstacles is not tables[1]:
             remedy = "change what is in it: seen.neighbours[...] = …"
-            raise ValueError(f"sensing.custom: {name!r} put another array into seen; {remedy}")
+            raise ValueError(
+                f"sensing.custom: {name!r} replaced an array of its argument; {remedy}"
+            )
         for table, gone in zip(tables, absent, strict=True):
             table[gone] = 0.0
             if not np.isfinite(table).all():
-                raise ValueError(f"sensing.custom: {name!r} made a number that is not finite")
+                raise ValueError(f"sensing.custom: {name!r} returned a number that is not finite")
     if seen.neighbours.shape[2] < seen.scenario.n_robots - 1:
         present = seen.neighbours.any(axis=-1)
         order = np.argsort(~present, axis=-1, kind="stable")

@@ -1,5 +1,6 @@
-"""Effects of measured sensors beyond ``imperfections``: detection by range, correlated errors,
-errors of an observer, outliers. Constants for kernels, and equations.
+"""Effects of measured sensors: detection by range, correlated errors, observer bias, outliers.
+
+Constants for kernels, and equations.
 
 Memories follow a step of τ by a factor k = exp(−τ/T):
 
@@ -25,11 +26,11 @@ _ARCTAN = tuple(
     np.float32(factor)
     for factor in (0.99997726, -0.33262347, 0.19354346, -0.11643287, 0.05265332, -0.01172120)
 )
-"""Of arctan(t)/t, in ascending powers of t² ≤ 1."""
+"""Coefficients of arctan(t)/t, in ascending powers of t² ≤ 1."""
 
 
 class Effects(NamedTuple):
-    """Those of a team's sensors on the rows of neighbours, as kernels take them."""
+    """Effects of a team's sensors on neighbour rows, as kernel constants."""
 
     blind: bool  # whether any robot has a blind zone
     nearest: NDArray[np.float64]  # min_range of each robot, (n,), m
@@ -101,7 +102,7 @@ def _of_equal_length(tables: list[tuple[tuple[float, float], ...]]) -> NDArray[n
 
 
 def kept_share(time_constant: float, tau: float) -> float:
-    """The share k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 without one."""
+    """Factor k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 if T is 0."""
     return math.exp(-tau / time_constant) if time_constant > 0.0 else 0.0
 
 
@@ -125,8 +126,9 @@ def redraws_of(sensing: Sensing, n_robots: int, tau: float) -> Redraws:
 
 @inner_kernel(inline="code")
 def share_in_view(offset, frame, half_field, falloff):
-    """By what the edge of the field of view multiplies the probability of detection: the angle to
-    the edge over the width of the border, from 0 to 1.
+    """Factor of the detection probability near the edge of the field of view, from 0 to 1.
+
+    It is the angle to the edge divided by the width of the border.
     """
     x, y, z = triple(to_local(as_float32(frame), as_float32(offset)))
     angle = _angle(x, np.float32(math.sqrt(y * y + z * z)))
@@ -136,7 +138,7 @@ def share_in_view(offset, frame, half_field, falloff):
 
 @inner_kernel(inline="code")
 def as_float32(v):
-    """A pair, triple or frame in float32; a register holds twice as many of these numbers."""
+    """Pair, triple or frame in float32; a register holds twice as many of these numbers."""
     if len(v) == 2:
         return np.float32(v[0]), np.float32(v[1])
     first = np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
@@ -150,8 +152,9 @@ def as_float32(v):
 
 @inner_kernel(inline="code")
 def _angle(x, y):
-    """The angle of (x, y ≥ 0) to the x axis, rad, to 10⁻⁵, without a branch: over lanes of many
-    teams it becomes SIMD.
+    """Angle of (x, y ≥ 0) to the x axis, rad, to 10⁻⁵.
+
+    It has no branch, so loops over lanes become SIMD.
     """
     level = abs(x)
     steep = y > level
@@ -173,7 +176,7 @@ def distance_of(here, there):
 
 @inner_kernel(inline="code")
 def turned_about(row, turn):
-    """A row turned by the rotation of an observer: (cos α, sin α), in 3-D with the unit axis a.
+    """Row rotated by the rotation of an observer: (cos α, sin α), in 3-D with the unit axis a.
 
     g cos α + (a × g) sin α + a (aᵀg)(1 − cos α)
     """

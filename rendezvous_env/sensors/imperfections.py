@@ -43,7 +43,7 @@ class Imperfections(NamedTuple):
     bias: float
     error: float
     dropout: float
-    sectors: int  # 0 leaves bearings as they are
+    sectors: int  # 0 disables quantisation
     obstacles_hide: bool
     robots_hide: bool
 
@@ -85,14 +85,14 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
 
 
 class Views(NamedTuple):
-    """Limits of sight that differ between robots; neutral where ``Imperfections`` has them."""
+    """Range and field of view that differ between robots; neutral if ``Imperfections`` has them."""
 
     reaches: NDArray[np.float64]  # (n,), m; inf without a limit
     half_fields: NDArray[np.float64]  # (n,), rad; at most π
 
 
 def views_of(sensing: Sensing, n_robots: int) -> Views | None:
-    """Limits of sight of each robot; None if all have the same."""
+    """Range and field of view of each robot; None if all are equal."""
     differing = sensing.per_robot
     if "range" not in differing and "field_of_view" not in differing:
         return None

@@ -1,4 +1,4 @@
-"""Teams in which sensors differ between robots."""
+"""Sensors that differ between the robots of a team."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ setattr(as_sensing, "made", Sensing)  # noqa: B010 - as ``of_class``, for hints 
 def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
     """A field of the sensors of all robots: one value, or a list of those of ``PER_ROBOT``."""
     values = [getattr(sensor, name) for sensor in sensors]
-    if name == "view_falloff":  # an all-round view has no edge to fall off at
+    if name == "view_falloff":  # no edge without a limited field of view
         values = [
             own or max(values) if _sees_all_round(sensor) else own
             for own, sensor in zip(values, sensors, strict=True)
         ]
     for robot, (value, sensor) in enumerate(zip(values, sensors, strict=True)):
         if name in PER_ROBOT and (given := sensor.list_given(name)) is not None:
-            wanted = "one value in a list of sensors, that of its robot"
+            wanted = "one value, not a list, in the sensor of one robot"
             checks.raise_invalid(f"{field}[{robot}].{name}", given, wanted)
         if name not in PER_ROBOT and value != values[0]:
             raise ValueError(

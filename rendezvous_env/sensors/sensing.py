@@ -24,7 +24,7 @@ PER_ROBOT = (
 )  # fmt: skip
 """Fields with one value for all robots, or a list with one for each."""
 UNLIMITED = "unlimited"
-"""In a list of ranges, in plain data, that of a robot without a limit."""
+"""Range of a robot without a limit, in plain data."""
 _Each = float | tuple[float, ...]
 _Table = tuple[tuple[float, float], ...]
 
@@ -104,9 +104,8 @@ class Sensing:
     all others keep their length. Random numbers depend on seed, episode, step and ordered pair, so
     an episode is the same in any batch.
 
-    There is no constant error of a robot's compass: it turns what the robot measures and the
-    velocity that it commands alike, and cancels for laws without memory of directions. With such a
-    compass robots move as with random ``Scenario.local_frames``.
+    There is no constant compass error: it would rotate measurements and commands alike, and cancels
+    for laws without memory of directions. Random ``Scenario.local_frames`` have the same effect.
 
     Raises:
         ValueError: naming the field, its value and the allowed values.
@@ -121,12 +120,12 @@ class Sensing:
     with one for each. An obstacle is visible while one of its edge points is inside."""
     noise: _Deviations = 0.0
     """Standard deviation of angular noise per ordered pair and step, rad, of all robots or a list
-    with one for each; in 3-D about a random axis perpendicular to the bearing. White unless it has
-    a noise_correlation."""
+    with one for each; in 3-D about a random axis perpendicular to the bearing. White unless
+    noise_correlation is given."""
     bias: _Deviations = 0.0
-    """Standard deviation of a constant error of each bearing, drawn once for every ordered pair and
-    episode, rad, of all robots or a list with one for each. Pairs differ, so unlike the error of a
-    compass it does not cancel."""
+    """Standard deviation of a constant error of each bearing, sampled for every ordered pair and
+    episode, rad, of all robots or a list with one for each. Pairs differ, so unlike a compass error
+    it does not cancel."""
     error: Annotated[float, partial(checks.number, least=0.0, most=math.pi, unit="rad")] = 0.0
     """Adversarial error: bearings are rotated by this angle in the direction that increases L most,
     rad (theorem N; guarantees, section 11)."""
@@ -155,31 +154,31 @@ class Sensing:
     """Delay of observations, s, instead of delay, of all robots or a list with one for each:
     rounded to whole steps, half a step upwards."""
     observer_bias: _Deviations = 0.0
-    """Standard deviation of a constant error that a robot's bearings, of obstacles too, share in an
-    episode, rad, of all robots or a list with one for each: of its angle in the plane; in 3-D the
-    sensor is turned about a random axis, and this is the root mean square by which it turns any
-    bearing. Unlike a compass error it does not turn commands."""
+    """Standard deviation of a constant rotation of a robot's sensor in an episode, rad, of all
+    robots or a list with one for each. It affects all bearings, of obstacles too, but not commands.
+    In 3-D the axis is random, and this is the root mean square rotation of any bearing."""
     noise_correlation: _Time = 0.0
-    """Time constant of noise, s: errors at two times t apart have correlation exp(−t/T), and the
-    same distribution as white ones, which 0 gives. In 3-D the axis belongs to pair and episode."""
+    """Time constant of noise, s: errors at two times t apart have correlation exp(−t/T); their
+    distribution is that of white noise, which 0 gives. In 3-D the axis is constant for each pair
+    and episode."""
     detection: Annotated[_Table | tuple[_Table, ...], _check_tables] = ()
     """Probability of detecting a neighbour by its distance, a list of pairs (m, probability):
-    linear between them, constant beyond the first and the last; of all robots, or a list with one
-    such list for each. Dropout multiplies it by 1 − dropout."""
+    linear in between, constant beyond the first and the last; of all robots, or a list with one
+    such list for each. It is multiplied by 1 − dropout."""
     view_falloff: _Deviation = 0.0
-    """Width of the border of the field of view, rad, in which the probability of detection falls to
-    zero, linearly in the angle to the edge. A robot that sees all round has no edge."""
+    """Width of the border of the field of view, rad, in which the probability of detection falls
+    linearly to zero at the edge. A full field of view has no edge."""
     persistence: _Times = 0.0
     """Time constant of detection, s, of all robots or a list with one for each: a two-state Markov
-    chain for each ordered pair. With a
-    probability p of detection, robots seen are seen again after t with p + (1 − p) exp(−t/T), and
-    robots missed are seen with p (1 − exp(−t/T)); 0 draws each step independently."""
+    chain for each ordered pair. After a time t, with detection probability p, a detected robot is
+    detected with probability p + (1 − p) exp(−t/T) and a missed one with p (1 − exp(−t/T)); 0 makes
+    steps independent."""
     outliers: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
     """Probability that a detected neighbour's bearing is replaced in a step by an outlier, of all
     robots or a list with one for each."""
     outlier_kind: Literal["uniform", "robot"] = "uniform"
-    """What an outlier is: a uniform direction, or the bearing of another robot than the neighbour,
-    drawn from those that are left; with none, bearings stay."""
+    """Outlier: a uniform direction, or the bearing of another active robot, sampled uniformly;
+    without another one, the bearing is unchanged."""
 
     __repr__ = repr_of_changes
 
@@ -189,12 +188,13 @@ class Sensing:
             steps = self._in_words("delay", "steps")
             raise ValueError(
                 f"sensing.delay is {steps} and sensing.delay_time is "
-                f"{self._in_words('delay_time', 's')}; it must be one of the two: leave one out"
+                f"{self._in_words('delay_time', 's')}; it must be one of the two: omit the other"
             )
         if self.view_falloff > 0.0 and self.smallest("field_of_view") >= _FULL_CIRCLE:
             raise ValueError(
-                f"sensing.view_falloff is {self.view_falloff} rad and sensing.field_of_view is all "
-                "round, which has no edge; it must be 0, or give a field_of_view below 2π rad"
+                f"sensing.view_falloff is {self.view_falloff} rad and sensing.field_of_view is "
+                "the full circle, which has no edge; it must be 0, or give a field_of_view below "
+                "2π rad"
             )
 
     @classmethod
@@ -273,7 +273,7 @@ class Sensing:
         return tuple(name for name in PER_ROBOT if self.list_given(name) is not None)
 
     def list_given(self, field: str) -> list[Any] | None:
-        """The list of a field of ``PER_ROBOT``; None if it is one value for all robots."""
+        """List given for a field of ``PER_ROBOT``; None if it is one value for all robots."""
         own = getattr(self, field)
         if field == "detection" and not any(map(_may_be_table, own)):
             return None
@@ -362,4 +362,4 @@ _YOUNGER = (
     "min_range", "sample_period", "delay_time", "observer_bias", "noise_correlation", "detection",
     "view_falloff", "persistence", "outliers", "outlier_kind",
 )  # fmt: skip
-"""Fields that are absent from plain data at their defaults: younger than files of scenarios."""
+"""Fields added after the file format, absent from plain data at their defaults."""

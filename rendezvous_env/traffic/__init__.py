@@ -1,1 +1,1 @@
-"""Obstacles that move: motion over a step, and contact in relative motion."""
+"""Moving obstacles: motion over a step, and contact in relative motion."""

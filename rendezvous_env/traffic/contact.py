@@ -1,8 +1,8 @@
-"""Contact of robots with obstacles that move: swept motion in relative coordinates.
+"""Contact of robots with moving obstacles: swept motion in relative coordinates.
 
-Within a step every obstacle moves straight at constant speed until a robot holds it up. In the
+Within a step every obstacle moves straight at constant speed until a robot blocks it. In the
 frame of an obstacle the path of a robot is its own path minus the motion of the obstacle. The first
-contact is that of a still obstacle, so nothing passes through at any speed. From a contact on
+contact is that with a still obstacle, so nothing passes through at any speed. After a contact
 
     ṗ = argmin ‖w − v‖   over   nᵀ(w − u) ≥ 0
 
@@ -10,9 +10,9 @@ for the normals n and velocities u of all touched obstacles. A robot slides alon
 frame, and is pushed where nᵀu > 0. Times are fractions of the step, velocities are displacements
 over a whole step, m.
 
-An obstacle is held up in three cases: it stops at robots instead of pushing them; no velocity
+An obstacle is blocked in three cases: it stops at robots instead of pushing them; no velocity
 satisfies the inequalities (a robot between an obstacle and a wall); or the robot would have to move
-faster than ‖v‖ + max ‖u‖. All robots are moved again with each obstacle that is held up, in order
+faster than ‖v‖ + max ‖u‖. All robots are moved again with each blocked obstacle, in order
 of time. The result therefore does not depend on the order of robots.
 """
 
@@ -71,7 +71,7 @@ def move_among(point, path, way, duration, world, plans, settings, memory):
     ``memory`` is normals (2M, 3), levels (2M,), halts (M,) bool.
 
     Returns whether there was a contact, the executed displacement, and the time at which obstacles
-    marked in ``halts`` are held up, or inf.
+    marked in ``halts`` are blocked, or inf.
     """
     mode, _, _ = settings
     held, levels, halts = memory
@@ -224,7 +224,7 @@ def _touched(point, time, world, plans, held, levels):
 
 @kernel
 def _allowed(point, time, wish, way, count, world, plans, settings, memory):
-    """Velocity of a robot in contact; obstacles that it holds up are marked in ``halts``."""
+    """Velocity of a robot in contact; obstacles that it blocks are marked in ``halts``."""
     _, pushes, dim = settings
     held, levels, halts = memory
     if not pushes:
@@ -270,7 +270,7 @@ def _runs_into(point, time, wish, m, world, plans):
 
 @kernel
 def _halt_all(point, time, world, plans, halts):
-    """Mark all obstacles that still move, since a robot has no room between them."""
+    """Mark all moving obstacles, since a robot between them cannot move."""
     for m in range(world.kinds.shape[0]):
         halts[m] = norm(_velocity(plans[m], time)) > 0.0
 

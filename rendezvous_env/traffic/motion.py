@@ -1,7 +1,7 @@
 """Motion of obstacles over one step: planned displacement, clock, and the moved shapes.
 
 The state of an obstacle is a row of ``STATE`` numbers: its displacement from the initial place
-(3), m; its own clock, s, which stops while a robot holds it up; the velocity of a random walk (3),
+(3), m; its own clock, s, which stops while a robot blocks it; the velocity of a random walk (3),
 m/s; and the number of directions sampled so far.
 """
 
@@ -18,8 +18,8 @@ from ..physics.random_streams import mix, uniform
 CLOCK, COURSE, DRAWN, STATE = 3, 4, 7, 8
 """Columns of a state, and its size."""
 SHARE = 3
-"""Column of a plan, (M, 4), after the displacement over a whole step: the fraction of it that an
-obstacle executes until a robot holds it up."""
+"""Column of a plan, (M, 4), after the displacement over a whole step: the fraction that an obstacle
+executes until a robot blocks it."""
 _ROUNDING = 1e-9
 
 

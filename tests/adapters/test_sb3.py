@@ -68,7 +68,6 @@ def lived(model, team):
     return advantages, ends
 
 
-@pytest.mark.kernels
 def test_advantages_match_each_robot_alone():
     np.testing.assert_array_equal(SCENARIO.action_bounds, 2.0)
     model = collected(RobotPPO, make_robots(SCENARIO, TEAMS))
@@ -221,7 +220,7 @@ def test_ppo_learns_through_wrappers(wrapper, options):
 
 def test_robot_vec_env_rejects_unsupported_wrappers():
     for teams in (SCENARIO, None, rv.parallel_env("duo")):
-        with pytest.raises(TypeError, match=f"teams is of type {type(teams).__name__}; it must be"):
+        with pytest.raises(TypeError, match=f"vector_env is a {type(teams).__name__}; it must be"):
             RobotVecEnv(teams)
     with pytest.raises(ValueError, match="SAME_STEP"):
         RobotVecEnv(rv.make_vec(SCENARIO, 2))
@@ -249,8 +248,8 @@ def test_vec_video_recorder_works(tmp_path, monkeypatch):
     film = VecVideoRecorder(robots, str(tmp_path), lambda step: step == 0, video_length=9)
     film.reset(), film.step(np.zeros((6, 2), np.float32))
     (_, last), film.recorded_frames = film.recorded_frames, []
-    assert film.frames_per_sec == robots.teams.metadata["render_fps"]
-    np.testing.assert_array_equal(pictures := robots.get_images(), robots.teams.render())
+    assert film.frames_per_sec == robots.vector_env.metadata["render_fps"]
+    np.testing.assert_array_equal(pictures := robots.get_images(), robots.vector_env.render())
     assert last.size >= sum(picture.size for picture in pictures)
 
 
@@ -324,7 +323,7 @@ def test_bad_actions_seeds_options_and_slots_are_rejected():
 
 
 def test_robot_slots_reject_foreign_reset_and_step():
-    slots = RobotSlots(make_robots(SCENARIO, 2).teams)
+    slots = RobotSlots(make_robots(SCENARIO, 2).vector_env)
     slots.reset(0)
     slots.step([[0.0, 0.0]] * 6)
     for call, given, message in (

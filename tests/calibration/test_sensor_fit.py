@@ -53,15 +53,15 @@ def test_intervals_are_narrow(fits):
 
 
 @pytest.mark.slow
-def test_intervals_cover_known_parameters_in_twenty_logs():
-    """At 99 %, an interval misses rarely: 2 of 20 logs at most, 2 % of all."""
+def test_intervals_cover_known_parameters_in_ten_logs():
+    """At 99 %, an interval misses rarely: 1 of 10 logs at most, 4 % of all."""
     missed, count = [], 0
-    for seed, log in enumerate(simulate(seeds=tuple(range(20)))):
+    for seed, log in enumerate(simulate(seeds=tuple(range(10)))):
         fit = fit_sensor(from_tables(*log), seed=seed)
         missed += [name.split("[")[0] for name in outside(fit)]
         count += len(fit.parameters)
     assert len(missed) <= 0.04 * count
-    assert all(missed.count(name) <= 2 for name in SCALARS)
+    assert all(missed.count(name) <= 1 for name in SCALARS)
 
 
 def test_fitted_fields_make_a_sensor_that_scenarios_accept(fits):

@@ -38,12 +38,14 @@ def test_usage_errors_exit_with_status_2(words):
     assert run(*words) == 2
 
 
+@pytest.mark.slow
 def test_output_works_without_unicode_terminal():
     words = "-m", "train.cli", "list", "policies"
     said = run_python(ROOT, *words, PYTHONIOENCODING="ascii").stdout
     assert said.isascii() and r"\u03c9" in said
 
 
+@pytest.mark.slow
 def test_broken_pipe_does_not_stop_command(tmp_path):
     words = "-m train.cli compare --scenarios duo --policies zero --episodes 1 --no-figures"
     words = [sys.executable, *words.split(), "--details", "--out", tmp_path / "out"]
@@ -101,6 +103,40 @@ def test_names_and_paths_are_not_markup(tmp_path, monkeypatch, capsys):
         assert run(*map(str, command)) == 0
         said = " ".join(capsys.readouterr().out.split())
         assert all(one in said for one in shown), said
+
+
+@pytest.mark.parametrize(
+    ("command", "old", "new"),
+    [
+        ("train", "--eval-starts 7", "--eval-episodes 7"),
+        ("train", "--eval_starts=7", "--eval-episodes=7"),
+        ("train", "--num-teams 3 --touch-penalty 0.5", "--num-envs 3 --contact-penalty 0.5"),
+        ("leaderboard", "--tier smoke --starts 9", "--tier smoke --episodes 9"),
+    ],
+)
+def test_former_flags_warn_once_and_are_hidden(command, old, new, monkeypatch, capsys):
+    module, given = importlib.import_module(f"train.{cli.COMMANDS[command][0]}"), []
+    monkeypatch.setattr(module, "run", given.append)
+    assert run(command, *old.split()) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert run(command, *new.split()) == 0
+    assert given[0] == given[1] and not capsys.readouterr().err
+    flags = [word.partition("=")[0] for word in old.split() if word.startswith("--")]
+    renamed = [flag for flag in flags if flag not in new]
+    assert [line.split()[1] for line in said] == renamed and "is called --" in said[0]
+    assert run(command, "--help") == 0
+    assert not set(renamed) & set(re.findall(r"--[\w-]+", capsys.readouterr().out))
+
+
+def test_former_policy_names_warn(monkeypatch, capsys):
+    given = []
+    monkeypatch.setattr(importlib.import_module("train.compare.compare"), "run", given.append)
+    assert run("compare", "--policies", "tank-joined", "best=tangent-joined-tuned", "learned") == 0
+    assert capsys.readouterr().err.splitlines() == [
+        "warning: policy tank-joined is called tank-merged now",
+        "warning: policy tangent-joined-tuned is called tangent-merged-tuned now",
+    ]
+    assert given[0].policies == ("tank-merged", "best=tangent-merged-tuned", "learned")
 
 
 def test_old_flag_names_are_accepted(monkeypatch):
@@ -210,8 +246,8 @@ def test_reproduce_writes_figure_and_data(figure, through, tmp_path):
     ("words", "heavy"),
     [
         ("--help", {"numba", "numpy", "tyro", "torch"}),
-        ("compare --scenarios duo --episodes 2 --no-figures --policies bearing-only random",
-         {"torch", "stable_baselines3", "matplotlib", "pygame"}),
+        slow("compare --scenarios duo --episodes 2 --no-figures --policies bearing-only random",
+             {"torch", "stable_baselines3", "matplotlib", "pygame"}),
         slow("render --out a.png", {"pygame", "torch"}),
         slow("render --size 120 --fps 5 --speed 2 --out a.gif", {"torch", "matplotlib.pyplot"}),
     ],

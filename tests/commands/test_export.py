@@ -206,7 +206,7 @@ class TestErrors:
         path = tmp_path / name
         path.write_bytes(b"a network of somebody's")
         said = one_line("export", flag, path)
-        assert f"{flag} {path}: is there already, and not of this command's making" in said
+        assert f"{flag} {path}: exists, and was not written by this command" in said
         assert path.read_bytes() == b"a network of somebody's"
         path.unlink()
         for policy in ("learned", "learned-tank"):
@@ -225,13 +225,13 @@ class TestErrors:
         model = onnx.load(exported / "learned.onnx")
         keys = [entry.key for entry in model.metadata_props]
         del model.metadata_props[keys.index(DIGEST_KEY)]
-        refused(path, model.SerializeToString(), r"x\.onnx: holds no digest")
+        refused(path, model.SerializeToString(), r"x\.onnx: has no digest")
 
     def test_files_that_are_not_policies_are_named(self, exported, tmp_path):
         path = tmp_path / "x.onnx"
         with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: cannot be read"):
             load(path, CLUTTER)
-        refused(path, signed(b"nothing of the kind"), r"x\.onnx: is no ONNX model")
+        refused(path, signed(b"nothing of the kind"), r"x\.onnx: is not an ONNX model")
         model = onnx.load(exported / "learned.onnx")
         place = [entry.key for entry in model.metadata_props].index(SETTINGS_KEY)
         plain = json.loads(model.metadata_props[place].value)

@@ -141,7 +141,7 @@ def compared_files(compared):
     return {k: content for k, content in contents(compared).items() if k != "report.html"}
 
 
-@cases(20, 250)
+@cases(10, 100)
 def test_report_rejects_damaged_result_folders(count, compared_files, reseal, tmp_path, capsys):
     @tried(count, often(compared_files), st.booleans())
     def _(files, sealed):
@@ -183,7 +183,7 @@ def sign(folder):
 
 
 class TestRuns:
-    @cases(8, 100)
+    @cases(8, 40)
     def test_resume_rejects_damaged_files(self, count, run_files, tmp_path, capsys):
         folder = tmp_path / "run"
 
@@ -284,7 +284,7 @@ def no_work(monkeypatch):
     monkeypatch.setattr(leaderboard, "write", lambda *given: None)
 
 
-@cases(80, 300)
+@cases(40, 160)
 def test_invalid_command_lines_are_one_line(count, no_work, tmp_path, capsys, monkeypatch):
     odd = {"file": b"", "bytes.toml": b"\xff\xfe\0", "words.toml": b"n_robots = [[[["}
     odd |= dict.fromkeys(("folder.toml", "folder"))

@@ -138,7 +138,7 @@ class TestSeeds:
             assert all(np.array_equal(first[name], second[name]) for name in first)
         assert any(not np.array_equal(found[0][name], found[2][name]) for name in found[0])
         assert f"done: {2 * UPDATE:,} steps" in (two / "seed-0.txt").read_text()
-        with pytest.raises(UserError, match="seed-0 holds a run of other settings"):
+        with pytest.raises(UserError, match="seed-0 contains a run of other settings"):
             command.run(self.config(one, learning_rate=1e-4))
 
     def test_registered_extensions_are_trained_in_this_process(self, tmp_path):

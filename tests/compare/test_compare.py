@@ -54,9 +54,9 @@ class TestFiles:
             of_cell[episode["scenario"], episode["policy"]].append(episode)
         for row in results.read_csv(compared / "results.csv"):
             own = of_cell[row["scenario"], row["policy"]]
-            starts = {"uav-6": 4, "fig4": 1}[row["scenario"]]  # that of fig4 is given
-            assert [int(r["start"]) for r in own] == list(range(starts))
-            assert int(row["episodes"]) == starts
+            count = {"uav-6": 4, "fig4": 1}[row["scenario"]]  # that of fig4 is given
+            assert [int(r["initial_condition"]) for r in own] == list(range(count))
+            assert int(row["episodes"]) == count
             for name, column, of in (
                 ("success", "success", np.mean),
                 ("collision_free_success", "collision_free", np.mean),
@@ -115,7 +115,7 @@ class TestFiles:
 
     def test_paired_csv_matches_episodes(self, compared):
         rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(compared / "paired.csv")}
-        joined = rows["fig4", "tangent-joined"]
+        joined = rows["fig4", "tangent-merged"]
         assert joined["against"] == "bearing-only"
         assert float(joined["collision_free_difference"]) == 1.0  # law (1) touches every obstacle
         assert float(rows["uav-6", "zero"]["probability_of_improvement"]) == 0.0
@@ -175,7 +175,7 @@ class TestMeasures:
         done, _ = run_play(scenarios.get("fig3"), "tangent-certified", 2)
         assert (done.min_alignment >= 0.1 - 1e-6).all()
         assert np.isfinite(done.time_bound).all()
-        done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), "tangent-joined", 2)
+        done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), "tangent-merged", 2)
         assert np.isnan(done.time_bound).all()
 
     def test_unicycle_alignment_uses_body_axis(self):
@@ -331,7 +331,7 @@ def test_first_failure_is_recorded(tmp_path):
     config = compare.Config(**words, episodes=12, keep=1, seed=2, out=tmp_path / "out")
     assert compare.run(config) == 0
     rows = results.read_csv(config.out / "episodes.csv")
-    failed = [int(row["start"]) for row in rows if row["collision_free"] == "0"]
+    failed = [int(row["initial_condition"]) for row in rows if row["collision_free"] == "0"]
     kept = {key[2]: one for key, one in read(config.out).recordings.items()}
     assert failed and sorted(kept) == sorted({0, failed[0]})
     row, last = rows[failed[0]], kept[failed[0]]

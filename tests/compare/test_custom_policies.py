@@ -122,7 +122,7 @@ def test_rows_come_from_one_source_version(jobs, mine, tmp_path, monkeypatch):
     if jobs == 1:
         assert compare.run(config) == 0
         return
-    with pytest.raises(UserError, match="was changed since the comparison began"):
+    with pytest.raises(UserError, match="has changed since the comparison began"):
         compare.run(config)
 
 
@@ -135,8 +135,8 @@ def test_rows_come_from_one_source_version(jobs, mine, tmp_path, monkeypatch):
         ("MINE:", r"write MODULE:FUNCTION, as in my_policies:make"),
         ("MINE/a.py:law", r"write MODULE:FUNCTION"),
         ("MINE:broken", r"for scenario 'duo': AttributeError: .*colour"),
-        ("MINE:text", r"gave 'bearing-only' for scenario 'duo'; it must give a function of obs"),
-        ("MINE:a_class", r"gave .* for scenario 'duo'; it must give"),
+        ("MINE:text", r"returned 'bearing-only' for scenario 'duo'; it must return"),
+        ("MINE:a_class", r"returned .* for scenario 'duo'; it must return"),
         ("MINE:flat", r"in the first step of scenario 'duo': ValueError: actions"),
         ("MINE:fails", r"in the first step of scenario 'duo': AttributeError: .*colour"),
         ("broken_module:law", "importing broken_module failed: ZeroDivisionError: division"),
@@ -284,8 +284,8 @@ class TestLabels:
         [
             (("a=zero", "a=random"), "two policies have the label 'a'"),
             (("a=zero", "b=zero"), "policy 'zero' is named twice"),
-            (("learned=zero",), "'learned' is no label"),
-            ((" =zero",), "' ' is no label"),
+            (("learned=zero",), "label 'learned' is invalid"),
+            ((" =zero",), "label ' ' is invalid"),
             (("a=zeero",), "policy 'zeero' is unknown; did you mean 'zero'"),
         ],
     )
@@ -306,7 +306,7 @@ def test_own_policies_have_distinct_colours_and_markers():
     assert len(styles) == 8
     assert len({figures.policy_colour(name, own) for name in own[:7]}) == 7
     known = {
-        figures.policy_colour(n) for n in ("bearing-only", "learned", "tangent-joined", "zero")
+        figures.policy_colour(n) for n in ("bearing-only", "learned", "tangent-merged", "zero")
     }
     assert not known & {figures.policy_colour(name, own) for name in own}
 

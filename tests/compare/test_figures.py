@@ -47,7 +47,7 @@ class TestColours:
         assert figures.policy_colour("learned:runs/mine") != figures.policy_colour("learned")
 
     def test_colours_are_distinguishable_without_red_and_green(self):
-        shown = ["bearing-only", "tangent", "tangent-blocking", "tangent-joined", "learned", "zero"]
+        shown = ["bearing-only", "tangent", "tangent-blocking", "tangent-merged", "learned", "zero"]
         colours = [figures.policy_colour(name) for name in shown]
         for one, other in combinations(colours, 2):
             assert np.linalg.norm(lightness_and_hue(one) - lightness_and_hue(other)) > 0.1
@@ -81,8 +81,8 @@ class TestSweeps:
     def test_sweep_figure_holds_results(self):
         group = [rv.scenarios.get(f"clutter-{count}") for count in (4, 8)]
         rows = [
-            row("clutter-8", "tangent-joined", 0.6),
-            row("clutter-4", "tangent-joined", 0.8),
+            row("clutter-8", "tangent-merged", 0.6),
+            row("clutter-4", "tangent-merged", 0.8),
             row("clutter-4", "bearing-only", 0.3),
             row("fig4", "bearing-only", 0.1),
         ]
@@ -91,7 +91,7 @@ class TestSweeps:
         assert joined.get_ydata() == pytest.approx([80.0, 60.0])
         assert joined.get_xdata() == pytest.approx([4, 8], abs=0)
         assert law.get_ydata() == pytest.approx([30.0])
-        assert joined.get_color() == figures.policy_colour("tangent-joined")
+        assert joined.get_color() == figures.policy_colour("tangent-merged")
         assert axes.get_xlabel() == "number of obstacles" and "success (%)" in axes.get_ylabel()
         [bars] = axes.containers[1].lines[2]
         assert bars.get_segments()[0][:, 1] == pytest.approx([20.0, 35.0])
@@ -144,8 +144,8 @@ def drawn(name, policy):
 class TestPrint:
     @pytest.mark.parametrize(
         ("name", "policy"),
-        [("fig3", "bearing-only"), ("fig4", "tangent-joined"), ("unicycle-6", "unicycle"),
-         ("clutter-8", "tangent-joined")],
+        [("fig3", "bearing-only"), ("fig4", "tangent-merged"), ("unicycle-6", "unicycle"),
+         ("clutter-8", "tangent-merged")],
     )  # fmt: skip
     def test_trajectory_figure_fits_column(self, name, policy):
         assert_readable(drawn(name, policy), 3.5)
@@ -159,7 +159,7 @@ class TestPrint:
 
     @pytest.mark.parametrize(("counts", "width"), [((8,), style.COLUMN), ((4, 8, 12, 16), 7.16)])
     def test_panels_fit_column_and_page(self, counts, width):
-        policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
+        policies = ["bearing-only", "tangent-merged-certified", "learned", "privileged-planner"]
         rows = [row(f"clutter-{k}", policy, 0.5) for k in counts for policy in policies]
         for figure in (figures.success_figure(rows), figures.time_figure(rows)):
             assert_readable(figure, width)
@@ -192,7 +192,7 @@ class TestPrint:
         assert "headings" in paths.get_title()
 
     def test_annotations_do_not_cross_curve(self):
-        figure = drawn("fig4", "tangent-joined")
+        figure = drawn("fig4", "tangent-merged")
         figure.draw_without_rendering()
         value = figure.axes[1]
         [inset] = value.child_axes
@@ -203,7 +203,7 @@ class TestPrint:
 
     def test_fonts_are_embeddable(self, tmp_path):
         path, rows = tmp_path / "a.pdf", [row("duo", "zero", 0.5)]
-        for figure in (figures.success_figure(rows), drawn("fig4", "tangent-joined")):
+        for figure in (figures.success_figure(rows), drawn("fig4", "tangent-merged")):
             style.save(figure, path)
             written = path.read_bytes()
             assert b"/FontFile2" in written and b"/CIDFontType2" in written
@@ -212,7 +212,7 @@ class TestPrint:
             assert float(size) / 72 == pytest.approx(figure.get_figwidth(), abs=0.01)
 
     def test_palette_is_small(self, tmp_path):
-        names = ["bearing-only", "tangent", "tangent-blocking", "tangent-joined", "learned"]
+        names = ["bearing-only", "tangent", "tangent-blocking", "tangent-merged", "learned"]
         rows = [row(f"clutter-{k}", name, 0.5) for k in (4, 8, 12) for name in names]
         style.save(figures.success_figure(rows), tmp_path / "a.png", run="7")
         pixels = imread(tmp_path / "a.png")[..., :3]

@@ -60,13 +60,13 @@ def test_contacts_count_unless_ignored():
 
 
 @pytest.mark.parametrize(
-    ("name", "starts", "kept"),
+    ("name", "count", "kept"),
     [("fig4", 1, 3), ("swarm-20", 100, 3), ("clutter-16-team-8", 100, 3),
      ("clutter-16-team-16", 50, 1), ("clutter-16-team-32", 25, 1)],
 )  # fmt: skip
-def test_many_robots_among_obstacles_get_fewer_episodes(name, starts, kept):
+def test_many_robots_among_obstacles_get_fewer_episodes(name, count, kept):
     scenario = scenarios.get(name)
     usual = compare.Config()
-    assert (usual.starts(scenario), usual.kept(scenario)) == (starts, kept)
+    assert (usual.count(scenario), usual.kept(scenario)) == (count, kept)
     asked = compare.Config(episodes=7, keep=2)
-    assert (asked.starts(scenario), asked.kept(scenario)) == (min(7, starts), 2)
+    assert (asked.count(scenario), asked.kept(scenario)) == (min(7, count), 2)

@@ -16,17 +16,16 @@ from rendezvous_env import scenarios
 from train import cli
 from train.checks import UserError
 from train.compare import Job, play_job, statistics
-from train.leaderboard import cards as cards_of
-from train.leaderboard import command, registry, tables
+from train.leaderboard import command, registry, run_records, tables
 from train.leaderboard.algorithms.ppo import multiplier_of
 from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
-from train.leaderboard.playing import Player, play
-from train.leaderboard.teams import make_training_envs
+from train.leaderboard.environments import make_training_envs
+from train.leaderboard.playing import EvaluationSetup, play
 from train.learn.settings import EVALUATION_SEEDS
 
 SMALL = command.Config(
     algorithms=("bearing-only", "ppo-heading"), fields=("clutter-8",), seeds=(0, 1), decisions=64,
-    starts=8, jobs=1,
+    episodes=8, jobs=1,
 )  # fmt: skip
 
 
@@ -103,7 +102,7 @@ def test_filters_differ_in_contacts_and_rises():
     for safety in ("none", "rule", "heading"):
         teams = make_training_envs(field, 6, safety=safety, anew=False)
         aside = teams.single_action_space.nvec[0] - 1  # the choice farthest aside of f
-        found = play(Player(teams, lambda seen, time, n=aside: np.full(seen.shape[:2], n)))
+        found = play(EvaluationSetup(teams, lambda seen, time, n=aside: np.full(seen.shape[:2], n)))
         risen[safety], touches[safety] = sum(found["risen"]), sum(found["touches"])
         assert sum(found["steps"]) > 1000 and len(found["clean"]) == 6
     assert risen["heading"] == 0 and risen["rule"] > 1000
@@ -131,7 +130,7 @@ def board(tmp_path_factory):
 
 
 def test_leaderboard_writes_record_per_run_and_tables(board):
-    cards = cards_of.read_cards(board)
+    cards = run_records.read_records(board)
     assert [(card["algorithm"], card["seed"], card["decisions"]) for card in cards] == [
         ("bearing-only", 0, 0), ("ppo-heading", 0, 64), ("ppo-heading", 1, 64),
     ]  # fmt: skip
@@ -155,7 +154,7 @@ def test_law_is_evaluated_as_in_compare(board):
     """Another loop gives the same times for the same initial conditions and policy."""
     job = Job(scenarios.get("clutter-8"), "bearing-only")
     played = play_job(job, episodes=8, seed=EVALUATION_SEEDS).episodes
-    law = cards_of.read_cards(board)[0]["results"]
+    law = run_records.read_records(board)[0]["results"]
     assert law["success"] == played.success.astype(int).tolist()
     assert law["clean"] == played.collision_free.astype(int).tolist()
     np.testing.assert_allclose(law["time"], played.time, atol=1e-6)
@@ -176,7 +175,7 @@ def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
         said = capsys.readouterr().err
         assert "results differ" in said and f"{where} the 95 % interval of the difference" in said
     wrong = [{"seed": seed} for seed in ("a", True, 1.0, -1, 2**29)]
-    wrong += [{"starts": 7}, {"starts": 0}, {"decisions": "64"}, {"guarantee": "all"}]
+    wrong += [{"episodes": 7}, {"episodes": 0}, {"decisions": "64"}, {"guarantee": "all"}]
     wrong += [{"versions": 1}, {"field": "mine/clutter-8-v1"}]
     for own in ({"time": [1.0]}, {"time": [np.nan] * 8}, {"steps": [0] * 8}, {"clean": [7] * 8}):
         wrong.append({"results": changed["results"] | own})
@@ -184,11 +183,32 @@ def test_repeat_reproduces_record_bitwise_or_reports_difference(board, capsys):
     del changed["learning_s"]
     for text in ("{}", "[1]", "no card", json.dumps(changed), *texts):
         other.write_text(text)
-        with pytest.raises(UserError, match=r"other\.json: no results card"):
+        with pytest.raises(UserError, match=r"other\.json: not a run record"):
             command.run(replace(SMALL, repeat=other))
     other.unlink()
-    with pytest.raises(UserError, match="no results card"):
+    with pytest.raises(UserError, match="not a run record"):
         command.run(replace(SMALL, repeat=other))
+
+
+def test_record_with_former_entry_is_read(tmp_path):
+    source = ROOT / "results/leaderboard/smoke/cells/bearing-only/clutter-8-v1-seed-0.json"
+    text, path = source.read_text(), tmp_path / source.name
+    path.write_text(text.replace('"episodes": ', '"starts": '))
+    assert path.read_text() != text
+    assert run_records.read_record(path) == run_records.read_record(source) == json.loads(text)
+
+
+def test_folder_with_former_algorithm_names_is_read_but_not_extended(tmp_path):
+    folder = tmp_path / "out/cells/tank-joined"
+    folder.mkdir(parents=True)
+    source = ROOT / "results/leaderboard/smoke/cells/tank-merged/clutter-8-v1-seed-0.json"
+    (folder / source.name).write_text(source.read_text().replace("tank-merged", "tank-joined"))
+    [card] = run_records.read_records(tmp_path / "out")
+    assert card["algorithm"] == "tank-joined"
+    assert registry.find("tank-joined") is registry.find("tank-merged")
+    asked = replace(SMALL, out=tmp_path / "out", algorithms=("tank-merged",), episodes=50)
+    with pytest.raises(UserError, match="runs of tank-joined, which is called tank-merged now; ch"):
+        command.run(asked)
 
 
 def test_misplaced_record_is_rejected(board, tmp_path):
@@ -197,7 +217,7 @@ def test_misplaced_record_is_rejected(board, tmp_path):
     text = card.read_text()
     for path, name in ((card, "../../../mine"), (card.with_name("copy.json"), "ppo-heading")):
         path.write_text(json.dumps(json.loads(text) | {"algorithm": name}))
-        with pytest.raises(UserError, match=f"{path.name}: is the card of {name}/clutter-8-v1-se"):
+        with pytest.raises(UserError, match=f"is the record of {name}/clutter-8-v1-se"):
             command.run(replace(SMALL, out=out))
         card.write_text(text)
     assert not list(tmp_path.rglob("*mine*"))
@@ -218,18 +238,18 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
     done, run_of = [], command.run_of
     shutil.copytree(board, out := tmp_path / "out")
     monkeypatch.setattr(command, "run_of", lambda *given: done.append(given[0]) or run_of(*given))
-    more = replace(SMALL, algorithms=("tank-joined", "bearing-only"), out=out)
+    more = replace(SMALL, algorithms=("tank-merged", "bearing-only"), out=out)
     assert command.run(more) == 0
-    assert [place.name for place in done] == ["tank-joined/clutter-8-v1-seed-0"]
+    assert [place.name for place in done] == ["tank-merged/clutter-8-v1-seed-0"]
     names = [row["algorithm"] for row in command.results.read_csv(out / "leaderboard.csv")]
-    assert sorted(names) == ["bearing-only", "ppo-heading", "tank-joined"]
+    assert sorted(names) == ["bearing-only", "ppo-heading", "tank-merged"]
     for card in (board / "cells").glob("*/*.json"):
         assert (out / card.relative_to(board)).read_bytes() == card.read_bytes()
     capsys.readouterr()
-    for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"starts": 9}):
-        with pytest.raises(UserError, match="do not stand in one table"):
+    for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"episodes": 9}):
+        with pytest.raises(UserError, match="cannot be in one table"):
             command.run(replace(more, **changes))
-    path = out / "cells" / "tank-joined" / "clutter-8-v1-seed-0.json"
+    path = out / "cells" / "tank-merged" / "clutter-8-v1-seed-0.json"
     path.write_text(path.read_text().replace(scenarios.digests()["clutter-8-v1"], "0" * 64))
     with pytest.raises(UserError, match="digest of other initial conditions"):
         command.run(more)
@@ -238,11 +258,13 @@ def test_runs_are_added_to_existing_folder(board, tmp_path, monkeypatch, capsys)
 @pytest.mark.slow
 def test_runs_without_replay_are_repeated_with_record(board, tmp_path):
     shutil.copytree(board, out := tmp_path / "out")
-    cards = [card["results"] for card in cards_of.read_cards(out)]
+    cards = [card["results"] for card in run_records.read_records(out)]
     before = (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes()
     assert command.run(replace(SMALL, out=out, record=True)) == 0
-    assert [cards_of.has_replay(out, card) for card in cards_of.read_cards(out)] == [True] * 3
-    assert [card["results"] for card in cards_of.read_cards(out)] == cards
+    assert [run_records.has_replay(out, card) for card in run_records.read_records(out)] == [
+        True
+    ] * 3
+    assert [card["results"] for card in run_records.read_records(out)] == cards
     assert (out / "cells/bearing-only/clutter-8-v1-seed-0.json").read_bytes() == before
 
 
@@ -250,7 +272,7 @@ def test_foreign_files_are_not_overwritten(board, tmp_path, monkeypatch):
     """A folder that is not writable is reported before any episode."""
     monkeypatch.setattr(command, "play_all", lambda *given: 1 / 0)
     (tmp_path / "README.md").write_text("mine")
-    with pytest.raises(UserError, match=r"holds 'README\.md', which leaderboard has not written"):
+    with pytest.raises(UserError, match=r"contains 'README\.md', which leaderboard did not"):
         command.run(replace(SMALL, out=tmp_path))
     with pytest.raises(UserError, match=r"README\.md: cannot write there: Not a directory"):
         command.run(replace(SMALL, out=tmp_path / "README.md"))
@@ -263,13 +285,13 @@ def test_missing_libraries_are_skipped_or_named(monkeypatch, capsys, tmp_path):
     """Missing packages are skipped by default, and an error for explicit names."""
     monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
     named = {place.algorithm for place in command.plan(command.Config())}
-    assert named == {"bearing-only", "tangent-joined-tuned", "tank-joined"}
+    assert named == {"bearing-only", "tangent-merged-tuned", "tank-merged"}
     with pytest.raises(UserError, match=r"'qmix-none' needs torch, torchrl, tensordict, benchmarl"):
         command.plan(command.Config(algorithms=("qmix-none",)))
     monkeypatch.setattr(command, "play_all", lambda *given: (defaultdict(dict), 0.0))
     monkeypatch.setattr(command, "write", lambda *given: None)
     assert command.run(command.Config(out=tmp_path / "out")) == 0
-    assert "left out without benchmarl, stable-baselines3" in capsys.readouterr().out
+    assert "skipped without benchmarl, stable-baselines3" in capsys.readouterr().out
 
 
 def test_invalid_leaderboard_settings_are_rejected():
@@ -278,7 +300,7 @@ def test_invalid_leaderboard_settings_are_rejected():
         ({"fields": ("clutter-8-v2",)}, "of another version"),
         ({"fields": ("uav-6",), "algorithms": ("ppo-tank",)}, "none of these algorithms fits"),
         ({"seeds": (1, 1)}, "named twice"),
-        ({"starts": 0}, "--starts is 0"),
+        ({"episodes": 0}, "--episodes is 0"),
         ({"seeds": (3_000_000_000,)}, "--seeds is 3000000000; it must be 536870911 or less"),
     ):
         with pytest.raises(UserError, match=said):
@@ -302,7 +324,7 @@ def test_every_algorithm_has_description():
 @pytest.mark.parametrize("tier", ["smoke", "mini"])
 def test_shipped_records_reproduce_tables(tier, monkeypatch):
     out = ROOT / "results" / "leaderboard" / tier
-    cards = cards_of.read_cards(out)
+    cards = run_records.read_records(out)
     monkeypatch.setattr(registry.Algorithm, "missing", [])
     asked = command.plan(command.Config(tier=tier))
     done = {(c["algorithm"], c["field"].partition("/")[2], c["seed"]) for c in cards}
@@ -334,7 +356,7 @@ def test_shipped_records_reproduce_tables(tier, monkeypatch):
     for line in table_of(exact):
         assert re.sub(r" \([\d.]+ to [\d.]+\)", "", line) in without
     monkeypatch.undo()
-    some = ("ppo-heading", "ppo-lagrangian", "tank-joined")
+    some = ("ppo-heading", "ppo-lagrangian", "tank-merged")
     assert all(line in page for line in table_of([c for c in exact if c["algorithm"] in some]))
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for name, start in (("none", "| nothing"), ("heading", "| rule, **headings**")):

@@ -26,7 +26,7 @@ SAME = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectorie
 
 def config(out, **changes):
     given = {
-        "scenarios": ("duo", "clutter-4"), "policies": ("bearing-only", "zero", "tangent-joined"),
+        "scenarios": ("duo", "clutter-4"), "policies": ("bearing-only", "zero", "tangent-merged"),
         "episodes": 3, "keep": 1, "ceiling": 2, "set": ("time_limit=3",), "figures": False,
     }  # fmt: skip
     return compare.Config(**given | {"out": out} | changes)
@@ -79,7 +79,7 @@ class TestGoingOn:
         real, played = playing.play_block, []
         monkeypatch.setattr(playing, "play_block", lambda *job: played.append(job[0]) or real(*job))
         assert compare.run(config(tmp_path / "out")) == 0
-        assert [job.policy for job in played] == ["zero", "tangent-joined"]
+        assert [job.policy for job in played] == ["zero", "tangent-merged"]
         assert {job.scenario.name for job in played} == {"clutter-4-time-limit-3"}
 
     def test_resume_keeps_ceiling(self, tmp_path, monkeypatch, whole):
@@ -221,8 +221,8 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("file", "said"),
         [
-            ("out/notes.txt", "holds 'notes.txt', which compare has not written"),
-            ("out.part/thesis.tex", r"holds no plan\.json"),
+            ("out/notes.txt", "contains 'notes.txt', which compare did not write"),
+            ("out.part/thesis.tex", r"has no plan\.json"),
         ],
     )
     def test_foreign_files_are_not_removed(self, file, said, tmp_path):
@@ -249,7 +249,7 @@ class TestRefusals:
     def test_unfinished_and_damaged_plans_are_named(self, tmp_path, one_line):
         stopped(config(tmp_path / "out"), 2)
         said = one_line("report", tmp_path / "out")
-        assert f"{part_of(tmp_path / 'out')} is an unfinished one" in said
+        assert f"{part_of(tmp_path / 'out')} is unfinished" in said
         (part_of(tmp_path / "out") / "plan.json").write_text("[" * 100_000)
         with pytest.raises(UserError, match=r"plan\.json: not readable"):
             compare.run(config(tmp_path / "out"))

@@ -37,19 +37,19 @@ def shown(table, width=tables.WIDTH):
 
 class TestRanking:
     def test_best_has_most_collision_free_success_then_least_time(self):
-        own = [played("fig4", "tangent", 0.5, 1.0), played("fig4", "tangent-joined", 0.9, 9.0)]
+        own = [played("fig4", "tangent", 0.5, 1.0), played("fig4", "tangent-merged", 0.9, 9.0)]
         [found] = ranking.rank([*own, played("fig4", "bearing-only", 0.9, 3.0)])
-        assert found.best == "bearing-only" and found.tied == ("tangent-joined",)
-        assert found.share["tangent"] == 0.5 and found.starts == STARTS
+        assert found.best == "bearing-only" and found.tied == ("tangent-merged",)
+        assert found.share["tangent"] == 0.5 and found.count == STARTS
 
     @pytest.mark.parametrize(("worse", "tied"), [(0, True), (2, True), (8, False)])
     def test_tie_is_paired_interval_containing_zero(self, worse, tied):
         """Numbers of failures out of 200; two of them are within statistical error."""
         best = np.arange(STARTS) < 150
         other = best & (np.arange(STARTS) >= worse)
-        pair = [played("fig4", "tangent", best, 1.0), played("fig4", "tangent-joined", other, 2.0)]
+        pair = [played("fig4", "tangent", best, 1.0), played("fig4", "tangent-merged", other, 2.0)]
         [found] = ranking.rank(pair)
-        assert (found.tied == ("tangent-joined",)) == tied
+        assert (found.tied == ("tangent-merged",)) == tied
         difference, (low, high) = statistics.collision_free_difference(
             pair[1].episodes, pair[0].episodes
         )
@@ -57,9 +57,9 @@ class TestRanking:
 
     def test_single_initial_condition_is_not_ranked_by_interval(self):
         one, none = np.ones(1, bool), np.zeros(1, bool)
-        names = {"tangent": one, "tangent-joined": one, "bearing-only": none}
+        names = {"tangent": one, "tangent-merged": one, "bearing-only": none}
         [found] = ranking.rank([played("fig4", name, hit) for name, hit in names.items()])
-        assert found.top == ("tangent", "tangent-joined")
+        assert found.top == ("tangent", "tangent-merged")
 
     def test_one_episode_of_a_random_scenario_decides_nothing(self):
         one, none = np.ones(1, bool), np.zeros(1, bool)
@@ -67,13 +67,12 @@ class TestRanking:
         (found,) = ranking.rank(pair)
         assert found.best is None and not found.is_contest and found.tied == ()
         assert ranking.answer([found]) == (
-            "Nothing to win: one episode of a random scenario decides nothing; play more with "
-            "--episodes."
+            "No ranking: one episode of a random scenario is not conclusive; use more --episodes."
         )
         text = shown([found], 80)
-        assert "*" not in text and "clutter-8: one episode decides nothing" in text
+        assert "*" not in text and "clutter-8: one episode is not conclusive" in text
         (only,) = ranking.rank(pair[:1])
-        assert only.undecided == "" and "decides" not in shown([only], 80)
+        assert only.undecided == "" and "conclusive" not in shown([only], 80)
 
     def test_nobody_is_best_with_0_per_cent(self):
         pair = [played("clutter-8", name, 0.0) for name in ("tangent", "bearing-only")]
@@ -81,7 +80,7 @@ class TestRanking:
         assert found.best is None and found.tied == () and not found.is_contest
         assert ranking.leaders([found]) == []
         said = ranking.answer([found])
-        assert said == "Nothing to win: no policy met without a collision in any episode."
+        assert said == "No ranking: no policy met without a collision in any episode."
         text = shown([found], 80)
         assert "*" not in text and "=" not in text and "clutter-8: no policy met" in text
 
@@ -122,7 +121,7 @@ class TestRanking:
         nothing = np.full(STARTS, np.nan)
         found = ranking.rank([played("fig3", n, nothing) for n in ("tangent", "bearing-only")])
         assert found[0].best is None and not found[0].is_contest
-        assert "Nothing to win" in ranking.answer(found)
+        assert "No ranking" in ranking.answer(found)
 
 
 class TestAnswer:
@@ -130,15 +129,15 @@ class TestAnswer:
         cells = [("clutter-4", 0.7, 0.7), ("clutter-8", 0.9, 0.9), ("clutter-12", 0.2, 0.8)]
         found = ranking.rank(
             [played(s, "tangent", a) for s, a, _ in cells]
-            + [played(s, "tangent-joined", b, 6.0) for s, _, b in cells]
+            + [played(s, "tangent-merged", b, 6.0) for s, _, b in cells]
         )
         assert ranking.answer(found) == (
-            "tangent-joined leads in collision-free success: best, or tied with the best, "
+            "tangent-merged leads in collision-free success: best, or tied with the best, "
             "in 3 of 3 scenarios, alone in 1; then tangent, in 2."
         )
 
     def test_answer_abbreviates_many_ties(self):
-        names = ("tangent", "bearing-only", "zero", "random", "tangent-joined")
+        names = ("tangent", "bearing-only", "zero", "random", "tangent-merged")
         found = ranking.rank([played("fig4", name, 1.0) for name in names])
         assert ranking.answer(found).startswith("5 policies are tied in collision-free success")
 
@@ -157,7 +156,7 @@ class TestMatrix:
         assert text.count(" 50") == len(cells)
 
     def test_matrix_explains_marks(self):
-        shares = {"tangent": (1.0, 5.0), "tangent-joined": (1.0, 9.0), "bearing-only": (0.25, 5.0)}
+        shares = {"tangent": (1.0, 5.0), "tangent-merged": (1.0, 9.0), "bearing-only": (0.25, 5.0)}
         text = shown(ranking.rank([played("fig4", n, *share) for n, share in shares.items()]), 80)
         assert "100*" in text and "100=" in text and "  25" in text and "contains 0" in text
         assert text.index("tangent ") < text.index("bearing-only")  # as they were asked for
@@ -222,8 +221,8 @@ class TestTables:
 def said(tmp_path_factory):
     """Output of a comparison, and its summary."""
     out = tmp_path_factory.mktemp("answer")
-    names, short = ("bearing-only", "tangent-joined", "zero"), out / "new" / "short.json"
-    how = {"episodes": 3, "keep": 0, "against": "tangent-joined", "figures": False}
+    names, short = ("bearing-only", "tangent-merged", "zero"), out / "new" / "short.json"
+    how = {"episodes": 3, "keep": 0, "against": "tangent-merged", "figures": False}
     console = Console(file=io.StringIO(), width=80)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compare, "Console", lambda **options: console)
@@ -236,7 +235,7 @@ class TestCommand:
         text, summary = said
         parts = (summary["answer"][:30], "collision-free, %", "Against")
         places = [text.index(part) for part in parts]
-        assert places == sorted(places) and summary["answer"].startswith("tangent-joined leads")
+        assert places == sorted(places) and summary["answer"].startswith("tangent-merged leads")
         assert "T/bound" not in text  # that takes --details
 
     def test_times_of_stages_add_up(self, said):
@@ -250,10 +249,10 @@ class TestCommand:
     def test_json_summary_has_results(self, said):
         _, summary = said
         fig4 = summary["scenarios"]["fig4"]
-        assert (fig4["starts"], fig4["best"], fig4["tied"]) == (1, "tangent-joined", [])
+        assert (fig4["initial_conditions"], fig4["best"], fig4["tied"]) == (1, "tangent-merged", [])
         assert fig4["policies"]["bearing-only"]["collision_free_success"] == 0
         assert fig4["policies"]["bearing-only"]["collision_free_low"] is None
-        assert {row["against"] for row in summary["paired"]} == {"tangent-joined"}
+        assert {row["against"] for row in summary["paired"]} == {"tangent-merged"}
 
     def test_blind_policies_are_omitted_unless_named(self, tmp_path):
         jobs = compare.plan(compare.Config(scenarios=("duo", "fig4"), out=tmp_path / "o"))

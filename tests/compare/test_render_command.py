@@ -14,7 +14,7 @@ from train.figures import render
 
 def make(path, **options):
     """Run the command for a short video; returns its exit status."""
-    chosen = {"scenario": "fig4", "policy": "tangent-joined", "size": 300, "fps": 10, "speed": 1.0}
+    chosen = {"scenario": "fig4", "policy": "tangent-merged", "size": 300, "fps": 10, "speed": 1.0}
     return render.run(render.Config(out=path, **(chosen | options)))
 
 
@@ -51,7 +51,7 @@ def count(picture, colour):
 
 class TestGif:
     def test_gif_lasts_as_long_as_episode(self, gif):
-        simulated = length_of("fig4", "tangent-joined")
+        simulated = length_of("fig4", "tangent-merged")
         assert seconds(gif) == pytest.approx(simulated + 1.5, abs=0.11)
         *others, last = (duration for _, duration in pictures(gif))
         assert last >= 1500 > max(others)

@@ -13,16 +13,15 @@ from report_data import arrays_of
 from rendezvous_env import Simulator, scenarios
 from rendezvous_env.obstacles.shape import RADIUS
 from train.checks import UserError
-from train.leaderboard import cards as cards_of
-from train.leaderboard import command, replays
-from train.leaderboard.playing import Player, play
-from train.leaderboard.teams import make_training_envs
+from train.leaderboard import command, replays, run_records
+from train.leaderboard.environments import make_training_envs
+from train.leaderboard.playing import EvaluationSetup, play
 from train.learn.settings import EVALUATION_SEEDS
 from train.recording import MAX_FRAMES
 
 RULES = command.Config(
-    algorithms=("bearing-only", "tank-joined"), fields=("clutter-8", "unicycle-clutter-16"),
-    starts=10, jobs=1,
+    algorithms=("bearing-only", "tank-merged"), fields=("clutter-8", "unicycle-clutter-16"),
+    episodes=10, jobs=1,
 )  # fmt: skip
 
 
@@ -48,14 +47,14 @@ def board(tmp_path_factory):
 
 
 def kept_of(board, card):
-    return replays.read_replay(replays.path_of(cards_of.path_in(board, card)), card["results"])
+    return replays.read_replay(replays.path_of(run_records.path_in(board, card)), card["results"])
 
 
 def test_replay_matches_record_and_initial_condition(board):
-    found = cards_of.read_cards(board)
+    found = run_records.read_records(board)
     assert [(card["algorithm"], card["field"]) for card in found] == [
-        ("bearing-only", "rendezvous/clutter-8-v1"), ("tank-joined", "rendezvous/clutter-8-v1"),
-        ("tank-joined", "rendezvous/unicycle-clutter-16-v1"),
+        ("bearing-only", "rendezvous/clutter-8-v1"), ("tank-merged", "rendezvous/clutter-8-v1"),
+        ("tank-merged", "rendezvous/unicycle-clutter-16-v1"),
     ]  # fmt: skip
     for card in found:
         check_agreement(card, kept_of(board, card))
@@ -75,7 +74,7 @@ def test_replay_matches_record_and_initial_condition(board):
 def led(field, count, safety, choose):
     """Policy whose choices depend on the action space only."""
     teams = make_training_envs(scenarios.get(field), count, safety=safety, anew=False)
-    return Player(teams, lambda seen, time: choose(seen.shape[:2]))
+    return EvaluationSetup(teams, lambda seen, time: choose(seen.shape[:2]))
 
 
 def test_recording_does_not_change_episode():
@@ -88,7 +87,7 @@ def test_recording_does_not_change_episode():
         np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
         assert len(steps) <= MAX_FRAMES
         assert recording["times"][-1] == pytest.approx(found["time"][team])
-        path = own.teams.unwrapped.simulator.path_length[team]
+        path = own.env.unwrapped.simulator.path_length[team]
         ways = np.linalg.norm(np.diff(recording["positions"], axis=0), axis=-1).sum()
         assert 0.9 * path < ways  # chords of the way, merges aside
         both = recording["active"][:, :2].all(axis=1)
@@ -112,22 +111,22 @@ def test_replay_is_reproduced_from_record(board, tmp_path, capsys):
     before = path.read_bytes()
     path.unlink()
     assert command.run(replace(RULES, repeat=card)) == 0 and not path.exists()
-    assert kept_of(board, cards_of.read_card(card)) == {}
+    assert kept_of(board, run_records.read_record(card)) == {}
     assert command.run(replace(RULES, repeat=card, record=True)) == 0
     assert path.read_bytes() == before and str(path) in capsys.readouterr().out
-    changed = cards_of.read_card(card)
+    changed = run_records.read_record(card)
     changed["results"]["time"][3] += 0.05
-    cards_of.write_run(tmp_path, changed, None)
+    run_records.write_run(tmp_path, changed, None)
     assert command.run(replace(RULES, repeat=tmp_path / "cells" / name, record=True)) == 1
     assert "results differ" in capsys.readouterr().err and not (tmp_path / "replays").exists()
     elsewhere = (tmp_path / "cells" / name).rename(tmp_path / "card.json")
-    with pytest.raises(UserError, match=r"card\.json: a replay is kept beside a card of OUT/cells"):
+    with pytest.raises(UserError, match=r"card\.json: a replay belongs to a record in OUT/cells"):
         command.run(replace(RULES, repeat=elsewhere, record=True))
 
 
 def test_foreign_replay_is_rejected(board, tmp_path):
-    card = cards_of.read_cards(board)[0]
-    good = json.loads(replays.path_of(cards_of.path_in(board, card)).read_text())
+    card = run_records.read_records(board)[0]
+    good = json.loads(replays.path_of(run_records.path_in(board, card)).read_text())
     path = tmp_path / "replay.json"
 
     def refused(said, found=card["results"], sealed=False, **changes):
@@ -135,13 +134,13 @@ def test_foreign_replay_is_rejected(board, tmp_path):
         if sealed:  # by somebody who means to
             replay["sha256"] = digest({"results": found, "starts": replay["starts"]})
         path.write_text(json.dumps(replay))
-        with pytest.raises(UserError, match=rf"replay\.json: no replay of its card.*{said}"):
+        with pytest.raises(UserError, match=rf"replay\.json: not the replay of its record.*{said}"):
             replays.read_replay(path, found)
 
     refused("of other results", found=card["results"] | {"time": [0.0] * 10})
     refused("changed", starts={"0": good["starts"]["0"] | {"stride": 16}})
     bad = good["starts"]["0"] | {"text": "</script><b>"}
-    refused("no base64", sealed=True, starts={"0": bad})
+    refused("not base64", sealed=True, starts={"0": bad})
     refused("missing 3 required", sealed=True, starts={"0": {"text": "", "fields": []}})
     refused("", sealed=True, starts=[])
     path.write_text("[" * 100_000)
@@ -152,7 +151,7 @@ def test_foreign_replay_is_rejected(board, tmp_path):
 @pytest.mark.parametrize("tier", ["smoke", "mini"])
 def test_every_shipped_record_has_replay(tier):
     out = ROOT / "results" / "leaderboard" / tier
-    first = [card for card in cards_of.read_cards(out) if card["seed"] == 0]
+    first = [card for card in run_records.read_records(out) if card["seed"] == 0]
     assert len(first) == {"smoke": 36, "mini": 118}[tier]
     for card in first:
         check_agreement(card, kept_of(out, card))

@@ -32,7 +32,7 @@ def test_first_run_is_merged_interval_rule():
 
     first = upper_bound.randomised(CLUTTER, seed=0, spread=0.0)
     rule = baselines.make(
-        "tangent-joined-tuned", CLUTTER, clearance=first.rule.clearance, persistence=0.0
+        "tangent-merged-tuned", CLUTTER, clearance=first.rule.clearance, persistence=0.0
     )
     done, _ = play(CLUTTER, lambda: rule, margin=0.05, episodes=20, seed=5)
     assert (done.collision_free == found[0].collision_free).mean() >= 0.9
@@ -85,4 +85,4 @@ def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
     share = rows["clutter-4", "privileged-planner"]["collision_free_success"]
     assert float(share) == float(row["collision_free_planner"]) == 1.0
     said = capsys.readouterr().out
-    assert "What can be reached" in said and "knows the map and all positions" in said
+    assert "What can be reached" in said and "with the map and all positions" in said

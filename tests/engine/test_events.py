@@ -40,7 +40,6 @@ def eventful(**fields):
     return rv.Scenario(n_robots=N, events=events, **fields)
 
 
-@pytest.mark.kernels
 @BOTH
 @BATCHES
 def test_crashed_robot_stands_still_from_its_time_on(scenario, batch):
@@ -91,8 +90,11 @@ def test_sensor_failure_hides_all_rows_in_its_time(scenario, batch):
         exact.step(given)
 
 
-@pytest.mark.kernels
-@BOTH
+@pytest.mark.parametrize(
+    "scenario",
+    [pytest.param(PLANE, marks=pytest.mark.kernels), slow(SPACE)],
+    ids=["plane", "space"],
+)
 def test_adversary_moves_at_full_speed_against_f(scenario):
     sim = apart(scenario, 3, events={"adversaries": [[0, 2 * TAU]]})
     for step, given in enumerate(tape(sim, 5)):
@@ -128,7 +130,6 @@ def test_drawn_failures_are_uniform_in_robots_and_times():
     assert (sim.get_state()["faults"] == again).all()
 
 
-@pytest.mark.kernels
 @BOTH
 def test_compass_drift_turns_frames_and_nothing_else(scenario):
     rates = [0.5, -1.0, 0.0, 2.0, 3.0]

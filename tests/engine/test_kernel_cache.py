@@ -12,9 +12,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from conftest import ROOT, run_python
+from parameters import slow
 
 from rendezvous_env import compilation, kernel_cache
+from rendezvous_env.engine.memory import transposition
 from rendezvous_env.engine.stages.apply_noise import apply_noise
+from rendezvous_env.engine.stages.write_observations import write_observations
 from rendezvous_env.physics import crossings, random_streams, vectors
 
 KERNEL = "from rendezvous_env.compilation import by_type, kernel\n"
@@ -132,6 +135,13 @@ def test_cache_recompiles_only_dependants_of_an_edit(monkeypatch):
     assert changed == [True, True, False, False]
 
 
+def test_cache_key_covers_the_code_that_an_intrinsic_generates(monkeypatch):
+    before = list(kernel_cache.content(write_observations))
+    assert list(kernel_cache.content(write_observations)) == before
+    monkeypatch.setattr(transposition, "_HIGH", (3, 2, 7, 6))
+    assert list(kernel_cache.content(write_observations)) != before
+
+
 @pytest.mark.slow
 def test_cache_tells_apart_functions_of_one_name_from_two_processes(tmp_path):
     """Each caller contains a different f, the first function compiled by its process."""
@@ -220,7 +230,7 @@ def test_cache_key_of_a_type_covers_the_functions_that_it_chooses(monkeypatch):
     assert misses() == misses() == 1  # no later process finds a type of the script that is run
 
 
-@pytest.mark.parametrize("chosen", [False, True], ids=["folder and home", "NUMBA_CACHE_DIR"])
+@pytest.mark.parametrize("chosen", [slow(False), True], ids=["folder and home", "NUMBA_CACHE_DIR"])
 def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     package(tmp_path, 0.5)
     file = tmp_path / "file"
@@ -239,7 +249,7 @@ def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     assert list((tmp_path / "tmp").rglob("*.code"))
     script = "import tempfile; tempfile.tempdir = '/dev/null'; " + script  # no place at all
     found = python(script, tmp_path, **places)
-    assert found.stdout.split() == ["6.0"] and "made anew each time" in found.stderr
+    assert found.stdout.split() == ["6.0"] and "compiled in every process" in found.stderr
 
 
 def test_cache_does_not_use_a_temporary_folder_that_others_can_write_to(tmp_path, monkeypatch):

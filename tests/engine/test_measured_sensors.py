@@ -267,8 +267,11 @@ def test_persistence_without_a_miss_changes_nothing():
         act(sim, step), act(exact, step)
 
 
-@BOTH
-@pytest.mark.kernels
+@pytest.mark.parametrize(
+    "scenario",
+    [pytest.param(PLANE, marks=pytest.mark.kernels), slow(SPACE)],
+    ids=["plane", "space"],
+)
 def test_outliers_are_uniform_directions_of_the_length_of_a_row(scenario):
     sim, exact = simulator(sensing(scenario, outliers=0.25), 400), simulator(scenario, 400)
     rows, true = by_robot(neighbours(sim)), by_robot(neighbours(exact))
@@ -431,11 +434,14 @@ def test_a_memory_that_no_episode_has_is_refused(name, place, value, message):
         ({"observer_bias": 0.1}, {"turn_observers"}),
         ({"persistence": 1.0, "dropout": 0.2}, {"remember_detection", "apply_effects"}),
         ({"noise": 0.1, "noise_correlation": 1.0}, {"remember_errors", "apply_effects"}),
+        ({"range": [5.0, *[9.0] * 4]}, {"limit_views"}),
+        ({"bias": [0.2, *[0.1] * 4], "delay": [1, *[0] * 4]}, {"turn_by_biases"}),
+        ({"bias": [0.1] * 5, "delay": [1] * 5, "persistence": [0.0] * 5}, set()),
     ],
 )
 def test_only_stages_that_are_used_are_compiled(fields, stages):
     known = {"apply_effects", "hold_observations", "turn_observers", "remember_detection"}
-    known |= {"remember_errors", "turn_silhouettes"}
+    known |= {"remember_errors", "turn_silhouettes", "limit_views", "turn_by_biases"}
     sim = simulator(sensing(PLANE, **fields))
     rest(sim)
     assert {kernel.__name__ for kernel in sim._runner._stages._entries} & known == stages

@@ -75,7 +75,6 @@ def played(scenario: rv.Scenario, batch: int, steps: int = 30) -> list[dict]:
     return found
 
 
-@pytest.mark.kernels
 @IN_PLANE
 def test_mixed_models_each_robot_moves_as_in_a_team_of_its_model(case):
     scenario = team(case, local_frames="global", merge_radius=0.05, **LONG_STEP)
@@ -133,6 +132,7 @@ def test_mixed_models_last_row_is_that_of_each_model():
     assert box.contains(sim.observe()[0, 0])
 
 
+@pytest.mark.slow
 def test_mixed_models_pad_actions_to_the_widest():
     scenario = team("rails", obstacles=())
     mask = [[True, False], [True, True], [True, True], [True, False]]
@@ -147,6 +147,7 @@ def test_mixed_models_pad_actions_to_the_widest():
     assert_same_state(one, other)
 
 
+@pytest.mark.slow
 def test_mixed_models_agents_have_spaces_of_their_own():
     scenario = team("rails", obstacles=())
     env, aec = rv.parallel_env(scenario), rendezvous_v0.env(scenario)
@@ -205,7 +206,7 @@ def test_mixed_models_in_training_environments_by_name(case):
     np.testing.assert_array_equal(np.stack([*rows.values()]), seen[0])
 
 
-@pytest.mark.parametrize("case", ["rails", "space"])
+@pytest.mark.parametrize("case", marked(["rails", "space"], slow=["rails"]))
 def test_mixed_models_in_stable_baselines3(case):
     sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")
     scenario = team(case, obstacles=(), on_merge="follow")
@@ -251,6 +252,7 @@ def test_mixed_models_state_and_files_are_complete(case, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.kernels
 def test_mixed_models_clocks_of_an_adversary_follow_each_model():
     scenario = team("plane", activation=rv.Activation(kind="bounded", max_wait=3))
     for one, other in zip(played(scenario, 1), played(scenario, 5), strict=True):

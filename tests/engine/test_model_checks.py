@@ -26,7 +26,7 @@ def test_invalid_model_is_rejected_with_reason():
     with pytest.raises(ValueError, match="it must be a RobotModel"):
         rv.register_robot_model("still")
     rv.register_robot_model(rv.RobotModel("still", dims=(2,), **good))
-    with pytest.raises(ValueError, match="are a Still; describe_motion must have said"):
+    with pytest.raises(ValueError, match="are a Still; register its equations"):
         rv.Simulator(rv.Scenario(robot_model="still"))
     hover = motion._MOTIONS[type(rv.Scenario().model.constants(rv.Scenario()))]
     with pytest.raises(TypeError, match="chord_error_bound of a Still is 3; it must be a function"):
@@ -90,7 +90,7 @@ TURNS = {"init": lambda model, key, counter: (0.5,), "displacement_at": evenly}
 BAD_EQUATIONS = {
     "NaN": ({"propose": lambda *_: ((math.nan, 0.0), 1.0)}, {}, "propose .* 2 finite numbers"),
     "of space": ({"propose": lambda *_: ((0.0, 0.0, 0.0), 0.0)}, {}, "a tuple of 2 finite"),
-    "no pair": ({"propose": lambda *_: 3.0}, {}, "a displacement and the length of the way"),
+    "no pair": ({"propose": lambda *_: 3.0}, {}, "a displacement and the path length"),
     "text": ({"propose": lambda *_: (("a", "b"), 1.0)}, {}, "2 finite numbers"),
     "negative length": ({"propose": lambda *_: ((0.0, 0.0), -1.0)}, {}, "or longer"),
     "a length below the way's": ({"propose": lambda *_: ((1e-3, 0.0), 0.0)}, {}, "or longer"),
@@ -106,7 +106,7 @@ BAD_EQUATIONS = {
     "goes elsewhere": ({**TURNS, "displacement_at": lambda *_: (9.0, 9.0)}, KEEPS, "_at .* what"),
     "negative bend": ({**TURNS, "chord_error_bound": lambda *_: -1.0}, KEEPS, "bound .* 0 or more"),
     "comes back before it goes": ({**TURNS, "period": lambda *_: 0.0}, KEEPS, "period .* positive"),
-    "more bent than it says": ({**TURNS, "displacement_at": bent}, KEEPS, "as the way is bent"),
+    "more bent than it says": ({**TURNS, "displacement_at": bent}, KEEPS, "curvature"),
     "senses what it does not say": ({"sense": lambda *_: (1.0, 0.0)}, {}, "sense .* 0 finite"),
     "senses nothing after all": ({}, {"senses": "velocity"}, "sense .* 2 finite"),
 }
@@ -121,7 +121,7 @@ BAD_FIELDS = {
     "bounds no function": ({"bounds": [1.0, 1.0]}, "bounds of .* must be a function"),
     "constants none": ({"constants": None}, "constants of .* is None; it must be a function"),
     "constants raise": ({"constants": lambda s: 1 / "a"}, "constants of .* fails: TypeError"),
-    "constants a dict": ({"constants": lambda s: {}}, "are a dict; describe_motion must have"),
+    "constants a dict": ({"constants": lambda s: {}}, "are a dict; register its equations"),
     "angles": ({"n_angles": -1}, "n_angles of .* is -1; it must be an integer, 0 or .* 4"),
     "kept": ({"n_kept": 2}, "n_kept of .* is 2; it must be a function"),
     "kept what": ({"n_kept": lambda dim: "a"}, "keeps 'a' numbers"),
@@ -186,7 +186,7 @@ def test_bounded_model_gets_theorems():
     ids=["half of it", "mirrored", "three numbers", "not below 0.1 m/s"],
 )
 def test_no_theorem_applies_to_misdeclared_bounded_model(wrong):
-    message = "propose .* of 2 numbers, slowed down to 4 m/s at most, since the model is bounded"
+    message = "propose .* of 2 numbers, limited to 4 m/s at most, since the model is bounded"
     with pytest.raises(ValueError, match=message):
         bounded(**wrong)
 

@@ -137,7 +137,6 @@ def test_contact_equals_an_independent_integrator(name, seed):
     assert touched > 0
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("name", marked(SHAPES, slow=["triangle", "bar"]))
 @pytest.mark.parametrize("speed", [0.5, 40.0, 1e6])
 def test_push_lets_nothing_through_at_any_speed(name, speed):
@@ -150,7 +149,6 @@ def test_push_lets_nothing_through_at_any_speed(name, speed):
     assert sim.positions[0, 0, 0] > centre or sim.positions[0, 0, 1] != 0.0
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("speed", [0.5, 40.0, 1e6])
 def test_stop_holds_obstacle_up_until_robot_leaves(speed):
     scene = scenario([rv.Moving(DISC, velocity=(speed, 0.0))], obstacle_push="stop")
@@ -183,7 +181,6 @@ def test_obstacles_from_two_sides_stop_at_a_robot_in_between():
 
 
 @pytest.mark.slow
-@pytest.mark.kernels
 def test_pushing_in_3d_slides_along_floor_and_wall():
     floor = rv.Sphere((3.0, 0.0, -100.0), 100.0)
     ball = rv.Moving(rv.Sphere((0.0, 0.0, 0.2), 0.5), velocity=(1.0, 0.0, -0.01))
@@ -193,7 +190,6 @@ def test_pushing_in_3d_slides_along_floor_and_wall():
     assert sim.contacts[0] > 0
 
 
-@pytest.mark.kernels
 def test_waypoints_repeat_and_end():
     rows = ((0.0, 0.0, 0.0), (1.0, 2.0, 0.0), (3.0, 0.0, 0.0))
     there = {0.5: 1.0, 1.0: 2.0, 2.0: 1.0, 3.0: 0.0, 3.5: 1.0}
@@ -208,7 +204,6 @@ def test_waypoints_repeat_and_end():
     np.testing.assert_allclose(resting(stays, 60).obstacle_offsets[0, 0], [2.0, 0.0])
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("dim", [2, 3])
 def test_random_walk_stays_in_its_box_and_depends_on_the_seed(dim):
     shape = DISC if dim == 2 else rv.Sphere((0.0,) * 3, 0.5)
@@ -261,11 +256,14 @@ def played(scene: rv.Scenario, batch: int, steps: int = 60):
     return found
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize("push", ["push", "stop"])
 @pytest.mark.parametrize(
     ("model", "dim"),
-    [("single_integrator", 2), slow("unicycle", 2), slow("nonholonomic_3d", 3)],
+    [
+        pytest.param("single_integrator", 2, marks=pytest.mark.kernels),
+        slow("unicycle", 2),
+        slow("nonholonomic_3d", 3),
+    ],
 )
 def test_batch_equals_singles_with_moving_obstacles(model, dim, push):
     scene = crossing(model, dim, obstacle_push=push)
@@ -362,7 +360,7 @@ def test_merge_beside_a_fast_obstacle_stays_outside():
         ({"speed": 1.0}, "Moving.box is None; .* two corners"),
         ({"speed": 1.0, "box": ((1, 1), (2, 2))}, "Moving.box is .* around the centre"),
         ({"speed": -1.0, "box": ((-1, -1), (2, 2))}, "Moving.speed is -1.0; .* positive"),
-        ({"velocity": (1, 0), "box": ((-1, -1), (2, 2))}, "Moving.box is .* left out"),
+        ({"velocity": (1, 0), "box": ((-1, -1), (2, 2))}, "Moving.box is .* omitted"),
     ],
 )
 def test_moving_refuses_wrong_fields(fields, message):
@@ -378,7 +376,7 @@ def test_moving_survives_files(tmp_path):
 
 
 def test_options_replace_no_moving_obstacles():
-    with pytest.raises(ValueError, match="those given to a reset stand still"):
+    with pytest.raises(ValueError, match="those given to a reset do not move"):
         rv.Simulator(crossing()).reset(0, {"obstacles": [DISC]})
 
 

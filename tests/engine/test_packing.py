@@ -121,7 +121,7 @@ class TestEpisodes:
         steps = len(alone.positions)
         np.testing.assert_array_equal(alone.positions[:, 0], found.positions[:steps, 3])
         said = rv.certificate(scenario).theorem
-        assert "bodies do not overlap, whatever the policy" in said
+        assert "bodies never overlap under any policy" in said
 
     @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
     def test_touched_robots_are_hidden_unless_all_touch(self, batch):
@@ -169,7 +169,7 @@ class TestScenario:
             (PACK | {"obstacles": (rv.Disc((9.0, 9.0), 1.0),)}, "among obstacles: bodies pack"),
             (
                 BODIES | {"start_positions": [(i / 10, 0.0) for i in range(5)]},
-                r"robot_\d and robot_\d stand 0\.1 m apart; it must be at least 0\.2 m",
+                r"robot_\d and robot_\d are 0\.1 m apart; it must be at least 0\.2 m",
             ),
         ],
     )

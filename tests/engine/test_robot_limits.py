@@ -44,7 +44,6 @@ def played(scenario: rv.Scenario, batch: int, steps: int = 25, seed: int = 3) ->
     return states
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize(("model", "dim"), MODELS)
 def test_limits_each_robot_moves_as_in_a_team_of_its_own_limits(model, dim):
     scenario = team(model, dim)
@@ -111,7 +110,7 @@ def test_limits_survive_files(tmp_path):
                 "body_radius": [0.1, 0.05, 0.1],
                 "start_positions": [[0.0, 0.0], [0.12, 0.0], [5.0, 0.0]],
             },
-            "robot_0 and robot_1 stand 0.12 m apart; it must be at least 0.15",
+            "robot_0 and robot_1 are 0.12 m apart; it must be at least 0.15",
         ),
     ],
 )
@@ -191,7 +190,6 @@ def mixed(**fields) -> rv.Scenario:
     return rv.Scenario(n_robots=4, robot_model=names, **{**given, **fields})
 
 
-@pytest.mark.kernels
 def test_mixed_team_moves_each_robot_by_its_own_model():
     scene = mixed(obstacles=())
     sim = rv.Simulator(scene, 3)
@@ -222,7 +220,6 @@ def test_mixed_team_moves_each_robot_by_its_own_model():
             np.testing.assert_allclose(moved[:, i], way, atol=1e-12)
 
 
-@pytest.mark.kernels
 def test_mixed_team_batch_equals_singles():
     for one, other in zip(played(mixed(), 1), played(mixed(), 7), strict=True):
         for name in ("positions", "memory", "merged_into"):

@@ -179,7 +179,6 @@ def test_obstacle_points_are_rotated_independently(scenario, field):
     assert (np.abs(again - first).max() < 1e-4) == (field == "bias")
 
 
-@pytest.mark.kernels
 @BOTH
 def test_adversarial_error_rotates_bearings_outwards(scenario):
     eta, everybody = 0.3, np.arange(5)

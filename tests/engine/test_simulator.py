@@ -124,7 +124,7 @@ def test_simulators_without_seed_differ():
 
 def test_step_before_full_reset_raises():
     sim, still = Simulator(Scenario(n_robots=2), 3), np.zeros((3, 2, 2))
-    for mask, words in ((None, ""), ([True, False, True], ": environment 1 has had none")):
+    for mask, words in ((None, ""), ([True, False, True], ": environment 1 was not reset")):
         if mask is not None:
             sim.reset(0, mask=np.array(mask))
         for teams in (sim, copy.deepcopy(sim)):
@@ -235,8 +235,8 @@ BAD_OPTIONS = [
     (SPACE, "positions", PLACES, r"have shape \(5, 2\); they must be \(5, 3\)"),
     (PLANE, "positions", STARTS[2][:7], r"have shape \(7, 5, 2\); they must be \(3, 5, 2\)"),
     (PLANE, "positions", spoilt(PLACES, (3, 1), np.nan), r"of robot_3 is \[.*nan\]; .* finite"),
-    (UNICYCLE, "positions", np.zeros((5, 2)), "neighbours robot_0 and robot_1 both stand at"),
-    (PLANE, "headings", np.zeros(5), 'single_integrator robots have none; give "frames"'),
+    (UNICYCLE, "positions", np.zeros((5, 2)), "neighbours robot_0 and robot_1 are both at"),
+    (PLANE, "headings", np.zeros(5), 'single_integrator robots have no heading; give "frames"'),
     ("nonholonomic_3d", "headings", np.zeros(5), r"have shape \(5,\); they must be \(5, 2\)"),
     (UNICYCLE, "frames", np.tile(np.eye(2), (5, 1, 1)), 'give "headings"'),
     (PLANE, "frames", np.tile(np.diag([1, -1]), (5, 1, 1)), "that of robot_0 is .* be a rotation"),
@@ -247,7 +247,7 @@ BAD_OPTIONS = [
     (UNICYCLE, "weights", UNEQUAL * ALONE, r"are not connected: .*\[4\]"),
     (UNICYCLE, "weights", 2 * UNEQUAL, r"reach D = \d.*at most 6\.5"),
     (UNICYCLE, "weights", UNEQUAL / 2, r"bottleneck a\* = 0\.45 m/s.*least 0\.9"),
-    (PLANE, "obstacles", [Disc((0.0, 0.0), 1.0)], "1 given, but the scenario has room for 0"),
+    (PLANE, "obstacles", [Disc((0.0, 0.0), 1.0)], "1 given, but the scenario has 0 obstacle slots"),
 ]
 
 
@@ -281,14 +281,14 @@ def test_given_links_reject_coincident_robots():
     places = [[-1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]]
     path = [[0, 1, 0], [1, 0, 1], [0, 1, 0]]
     sim = started(Scenario(n_robots=3, graph="path", start_positions=places), weights=path)
-    with pytest.raises(ValueError, match="neighbours robot_0 and robot_2 both stand at"):
+    with pytest.raises(ValueError, match="neighbours robot_0 and robot_2 are both at"):
         sim.reset(0, {"weights": [[0, 1, 1], [1, 0, 0], [1, 0, 0]]})
 
 
 def test_bodies_reject_obstacles():
     bodies = Scenario(n_robots=3, body_radius=0.1, meeting="pack", obstacle_slots=2)
     sim = started(bodies, obstacles=[])
-    with pytest.raises(ValueError, match=r"pack.* is for teams without obstacles"):
+    with pytest.raises(ValueError, match=r"pack.* does not support obstacles"):
         sim.reset(0, {"obstacles": [Disc((9.0, 9.0), 0.5)]})
 
 

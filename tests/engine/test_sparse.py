@@ -220,7 +220,7 @@ def test_given_weights_beyond_capacity_change_nothing():
     scenario = Scenario(n_robots=80, graph=graphs.erdos_renyi(0.05))
     sim = started(scenario, seed=3)
     everybody = np.ones((80, 80)) - np.eye(80)
-    with refusing(sim, r"weights have 3160 links; .* have room for 361"):
+    with refusing(sim, r"weights have 3160 links; .* have memory for 361"):
         sim.reset(None, {"weights": everybody})
     small = Simulator(Scenario(n_robots=6, neighbour_slots=4))
     with pytest.raises(ValueError, match=r"robot_0 5 neighbours; .* neighbour_slots = 4"):

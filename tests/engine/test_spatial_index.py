@@ -11,8 +11,6 @@ from rendezvous_env.obstacles import spatial_index
 from rendezvous_env.obstacles.obstacle_set import distance_to
 from rendezvous_env.obstacles.spatial_index import gather, index_of, nearest_group, shape_of
 
-pytestmark = pytest.mark.kernels
-
 NEAREST = {"obstacle_slots": 6, "obstacle_overflow": "nearest"}
 NOISY = {**NEAREST, "sensing": rv.Sensing(noise=0.1)}
 
@@ -59,7 +57,9 @@ def trajectory(scenario, num_envs, steps=40):
         ("dpc", NEAREST),
         ("d", NEAREST),
         slow("dpc", NOISY),
-        slow("dpc", {"obstacle_contact": "stop"}),
+        pytest.param(
+            "dpc", {"obstacle_contact": "stop"}, marks=[pytest.mark.slow, pytest.mark.kernels]
+        ),
     ],
     ids=["any", "discs", "nearest", "nearest-discs", "noisy", "stop"],
 )
@@ -80,6 +80,7 @@ def test_index_changes_no_number(monkeypatch, model, kinds, more):
             assert np.array_equal(ours, theirs)
 
 
+@pytest.mark.kernels
 def test_index_follows_given_obstacles(monkeypatch):
     scenario = Scenario(obstacles=random_shapes(80, 30.0), n_robots=3)
     options = {"obstacles": random_shapes(70, 8.0, seed=5)}
@@ -126,12 +127,14 @@ def test_failed_reset_keeps_obstacles():
     assert np.array_equal(state["obstacles"], simulator.get_state()["obstacles"])
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("slots", [0, 1, 2, 63, 64, 65, 2000])
 def test_groups_have_room_for_all_slots(slots):
     groups, places = shape_of(slots)
     assert groups * places >= slots and (groups - 1) * places < max(slots, 1)
 
 
+@pytest.mark.kernels
 def test_gather_finds_every_near_obstacle_in_order():
     scene = world(random_shapes(150, 12.0), 170)
     table = type(scene)(*(array[None] for array in scene))
@@ -150,6 +153,7 @@ def test_gather_finds_every_near_obstacle_in_order():
         assert 0 <= group < index.groups.shape[1]
 
 
+@pytest.mark.kernels
 def test_few_or_sampled_obstacles_have_no_index():
     few = Scenario(obstacles=random_shapes(20, 8.0))
     sampled = Scenario(obstacles=rv.ObstacleField(80), spawn_size=60.0)

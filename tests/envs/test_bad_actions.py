@@ -24,8 +24,8 @@ BAD_ACTIONS = {
     "no dict": (lambda a, gone: list(a.values()), ValueError, "it must be a dict with an action"),
     "missing": (lambda a, gone: {k: v for k, v in a.items() if k != "robot_0"}, KeyError,
         "robot_0 is alive but has no action"),
-    "unknown": (_with("robot_9", lambda a: a), KeyError, "'robot_9' is no robot of this team"),
-    "no name": (_with(5, lambda a: a), KeyError, "5 is no robot of this team"),
+    "unknown": (_with("robot_9", lambda a: a), KeyError, "'robot_9' is no robot of this env"),
+    "no name": (_with(5, lambda a: a), KeyError, "5 is no robot of this environment"),
     "merged away": (lambda a, gone: {**a, gone: a["robot_0"]}, KeyError, "GONE has merged into"),
 }  # fmt: skip
 

@@ -71,12 +71,12 @@ def test_filter_instance_serves_one_wrapper():
     ):
         made = EnergyTank(scenario, 1, budget=1.0)
         env = home.GuaranteeWrapper(make(), made)
-        with pytest.raises(ValueError, match="this EnergyTank is held by another"):
+        with pytest.raises(ValueError, match="this EnergyTank is used by another"):
             home.GuaranteeWrapper(make(), made)
         for again in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
             again.reset(seed=0)
             assert again.filter is not made
-            with pytest.raises(ValueError, match="this EnergyTank is held by another"):
+            with pytest.raises(ValueError, match="this EnergyTank is used by another"):
                 home.GuaranteeWrapper(make(), again.filter)
         other = home.GuaranteeWrapper(make(), copy.deepcopy(made))
         other.reset(seed=0)
@@ -153,9 +153,9 @@ def test_filter_names_must_not_clash_with_environment(wrapper):
     named = type("Named", (HalfSpeed,), {"state_key": "shown"})  # as only a learner's teams have it
     assert set(wrapper(base, named).get_state()) == {"env", "observed", "shown"}
     for key in ("contact", "lyapunov", "robot_rewards"):
-        told = type("Tells", (HalfSpeed,), {"diagnostics": property(lambda _, k=key: {k: None})})
-        with pytest.raises(ValueError, match=f"Tells tells '{key}', which environments tell"):
-            wrapper(base, told)
+        kind = type("Reports", (HalfSpeed,), {"diagnostics": property(lambda _, k=key: {k: None})})
+        with pytest.raises(ValueError, match=f"Reports reports '{key}', which is already a key"):
+            wrapper(base, kind)
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -252,7 +252,7 @@ def test_training_env_logs_missing_guarantee_once(caplog):
     for scenario, given, words in (
         ("noisy-8", {}, ["no rendezvous is certified in"]),
         ("ring-12", {}, []),
-        (erring, {}, ["in 'custom': pass bearing_error=0.01, the most"]),
+        (erring, {}, ["in 'custom': pass bearing_error=0.01, the maximum"]),
         (erring, {"bearing_error": 0.01}, []),
     ):
         caplog.clear()

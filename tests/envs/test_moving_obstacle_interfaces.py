@@ -51,12 +51,12 @@ def test_training_slots_move_obstacles():
     robots.reset()
     for _ in range(10):
         robots.step(np.zeros((robots.num_envs, *robots.action_space.shape), np.float32))
-    simulator = robots.slots.teams.unwrapped.simulator
+    simulator = robots.slots.vector_env.unwrapped.simulator
     assert np.abs(simulator.obstacle_offsets).max() > 0.1
 
 
 def test_rollout_records_offsets_and_saves_them(tmp_path):
-    played = rv.rollout(NAME, baselines.make("tangent-joined", NAME), num_envs=2)
+    played = rv.rollout(NAME, baselines.make("tangent-merged", NAME), num_envs=2)
     assert played.obstacle_offsets.shape == (len(played.times), 2, 7, 2)
     assert not played.obstacle_offsets[0].any() and played.obstacle_offsets[-1].any()
     np.testing.assert_array_equal(played.obstacles[0], played.obstacles[1])
@@ -67,7 +67,7 @@ def test_rollout_records_offsets_and_saves_them(tmp_path):
 
 
 def test_report_holds_offsets_of_every_frame(tmp_path):
-    played = rv.rollout(NAME, baselines.make("tangent-joined", NAME), num_envs=1)
+    played = rv.rollout(NAME, baselines.make("tangent-merged", NAME), num_envs=1)
     data, texts = data_of(played.to_report(tmp_path / "replay.html").read_text(encoding="utf-8"))
     arrays = arrays_of(data["recordings"][0]["fields"], texts[0])
     offsets = arrays["obstacle_offsets"]

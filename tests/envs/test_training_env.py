@@ -92,7 +92,7 @@ def test_preset_has_energy_budget_of_robot_model(field):
     teams.reset(seed=0)
     assert teams.env.settings == shipped
     assert shipped.budget == pytest.approx((1 if field == "clutter-8" else 2) * 100 / 3)
-    np.testing.assert_allclose(teams.env.guided.tank.normalised_levels, shipped.budget)
+    np.testing.assert_allclose(teams.env.controller.tank.normalised_levels, shipped.budget)
     everyone, own = preset("tank"), preset("tank", rv.scenarios.get(field))
     assert own.reward == everyone.reward and own.contact_penalty == everyone.contact_penalty
 
@@ -118,9 +118,11 @@ def test_models_without_policy_use_wrapper_spaces():
     links = rv.training_env("cloud-8", guarantee="links")
     plain = rv.training_env("cloud-8", guarantee="links", learning_preset=False)
     assert links.observation_space("robot_0") == plain.observation_space("robot_0")
-    assert links.teams.env.decision_period == round(0.6 / links.scenario.tau)
-    assert plain.teams.env.decision_period == 1 and plain.teams.contact_penalty == 0.0
-    assert links.teams.contact_penalty == 1.0 and links.scenario.reward != plain.scenario.reward
+    assert links.vector_env.env.decision_period == round(0.6 / links.scenario.tau)
+    assert plain.vector_env.env.decision_period == 1 and plain.vector_env.contact_penalty == 0.0
+    assert (
+        links.vector_env.contact_penalty == 1.0 and links.scenario.reward != plain.scenario.reward
+    )
 
 
 @pytest.mark.parametrize("name", ["cloud-8", "uav-clutter-16"])
@@ -132,7 +134,7 @@ def test_robots_in_3d_observe_and_act_in_plane(name, guarantee):
     shown, _ = env.reset(seed=0)
     while env.agents:
         shown, *_ = env.step({name: [-1.0, 0.5] for name in env.agents})
-        parts = env.teams.layout.split(np.stack(list(shown.values())))
+        parts = env.vector_env.layout.split(np.stack(list(shown.values())))
         ahead = (parts.neighbours[..., 2] * parts.neighbours[..., 0]).sum(axis=-1)
         aside = (parts.neighbours[..., 2] * parts.neighbours[..., 1]).sum(axis=-1)
         np.testing.assert_allclose(np.minimum(ahead, 2.0), parts.context[:, 1], atol=1e-5)
@@ -143,7 +145,7 @@ def test_overrides_reach_wrapper_preset_and_scenario():
     env = rv.training_env(
         "clutter-8", min_alignment=0.3, n_robots=3, max_cycles=7, decision_period=5
     )
-    assert env.teams.env.decision_period == 5
+    assert env.vector_env.env.decision_period == 5
     env.reset(seed=0)
     while env.agents:
         *_, infos = env.step({name: [-1.0, 0.0] for name in env.agents})
@@ -154,7 +156,7 @@ def test_overrides_reach_wrapper_preset_and_scenario():
     kept = rv.training_env(SCENARIO.replace(reward=own))
     assert kept.scenario.reward == own
     gains = rv.training_env("clutter-8", guarantee="gains", max_gain=0.7, frame="local")
-    assert not gains.teams.env.gains.along_net_bearing
+    assert not gains.vector_env.env.gains.along_net_bearing
 
 
 @pytest.mark.parametrize(
@@ -209,7 +211,7 @@ def test_reward_terms_of_ones_own_are_merged_with_the_preset(make, guarantee, ca
         ):  # fmt: skip
             env = make(**{"scenario": SCENARIO, "guarantee": guarantee} | how)
             assert env.scenario.reward == expected
-            assert getattr(env, "teams", env).unwrapped.scenario.reward == expected
+            assert getattr(env, "vector_env", env).unwrapped.scenario.reward == expected
         assert f"reward in use: {expected.to_plain()}, contact_penalty 1" in caplog.text
         one = make(SCENARIO, guarantee=guarantee, reward={"time_penalty": 0.3}).scenario.reward
         assert one == dataclasses.replace(preset, time_penalty=0.3)

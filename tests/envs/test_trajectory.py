@@ -111,7 +111,7 @@ def test_observations_and_actions_are_optional():
     policy = law_of(DUO)
     plain = rollout(DUO, policy, num_envs=3)
     for name in ("observations", "actions"):
-        with pytest.raises(AttributeError, match=rf'{name} were not kept; .* record="{name}"'):
+        with pytest.raises(AttributeError, match=rf'{name} were not recorded; .* record="{name}"'):
             getattr(plain, name)
     whole = rollout(DUO, policy, num_envs=3, record="all")
     both = rollout(DUO, policy, num_envs=3, record=("actions", "observations"))
@@ -143,7 +143,7 @@ def test_unrecordable_policy_is_rejected(record):
 
 
 def test_large_recording_warns():
-    message = r"may keep .* GB.*; take fewer environments or steps, or record"
+    message = r"may record .* GB.*; use fewer environments or steps, or record"
     with pytest.warns(UserWarning, match=message) as warned:
         with pytest.raises(ZeroDivisionError):
             rollout("clutter-24", lambda seen, time: 1 / 0, num_envs=20_000, record="all")
@@ -153,7 +153,7 @@ def test_large_recording_warns():
 def test_announced_size_equals_stored_size(monkeypatch):
     scenario = five("unicycle", time_limit=1.0)
     monkeypatch.setattr(trajectory, "_MUCH", 0.0)
-    said = rf"may keep 0.0 GB, 0.00\d+ MB a step for up to {scenario.max_steps} steps"
+    said = rf"may record 0.0 GB, 0.00\d+ MB a step for up to {scenario.max_steps} steps"
     with pytest.warns(UserWarning, match=said) as caught:
         found = rollout(scenario, law_of(scenario), num_envs=4, record="all")
     kept = sum(

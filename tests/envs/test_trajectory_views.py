@@ -181,7 +181,7 @@ def test_report_replays_the_rollout_as_it_was(found, tmp_path):
 
 def test_report_of_a_loaded_rollout_needs_its_actions(found, tmp_path):
     bare = rv.Trajectory.load(found.save(tmp_path / "bare.npz"))
-    with pytest.raises(ValueError, match=r"not known any more.*record=\"actions\""):
+    with pytest.raises(ValueError, match=r"not available.*record=\"actions\""):
         bare.to_report(tmp_path / "bare.html")
     kept = rv.rollout(WALL, noisy, record="actions")
     again = rv.Trajectory.load(kept.save(tmp_path / "kept.npz"))
@@ -191,7 +191,7 @@ def test_report_of_a_loaded_rollout_needs_its_actions(found, tmp_path):
 
 def test_report_refuses_a_policy_that_does_not_repeat_itself(tmp_path):
     once = rv.rollout(WALL.replace(time_limit=1.0), noisy)
-    with pytest.raises(ValueError, match="'noisy' chose otherwise in step 1"):
+    with pytest.raises(ValueError, match="'noisy' chose other actions in step 1"):
         once.to_report(tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
 

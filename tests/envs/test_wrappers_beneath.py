@@ -137,7 +137,7 @@ def test_guarantee_refuses_wrapper_that_changes_observations_or_actions(which, b
     env = GUARANTEES[which].around(Passing(beneath) if twice else beneath)
     name = "Turns" if between is turn_based else between.__name__
     what = "actions" if "Acting" in name or "Actions" in name else "observations"
-    remedy = "put it around the guarantee"
+    remedy = "apply it outside"
     with pytest.raises(RuntimeError, match=rf"{name}.*has changed {what}, .*{remedy}"):
         played(env)
     if what == "actions" or between is ObservingLater:
@@ -148,7 +148,7 @@ def test_guarantee_refuses_wrapper_that_changes_observations_or_actions(which, b
 @WHICH
 @pytest.mark.parametrize("between", [Stacking, ActingInOtherUnits])
 def test_guarantee_refuses_wrapper_that_changes_spaces(which, between):
-    with pytest.raises(TypeError, match=rf"under {between.__name__}, which changes the spaces"):
+    with pytest.raises(TypeError, match=rf"in {between.__name__}, which changes the spaces"):
         GUARANTEES[which].around(Passing(between(rv.parallel_env(SCENARIO))))
 
 
@@ -217,7 +217,7 @@ def test_vector_guarantee_refuses_wrapper_that_changes_spaces():
             space = env.single_action_space
             self.single_action_space = Box(-1.0, 1.0, space.shape, space.dtype)
 
-    with pytest.raises(TypeError, match="under Units, which changes the spaces"):
+    with pytest.raises(TypeError, match="in Units, which changes the spaces"):
         vector.HeadingVectorWrapper(Units(rv.make_vec("fig3", 2)))
 
 
@@ -400,7 +400,7 @@ def test_films_of_training_forms_play_in_real_time():
         rv.training_env("duo", guarantee="links", decision_period=3),
         make_heading_env("duo", decision_period=7),
     ):
-        period = env.teams.env if hasattr(env, "agents") else getattr(env, "teams", env)
+        period = env.vector_env.env if hasattr(env, "agents") else getattr(env, "vector_env", env)
         period = getattr(period, "decision_period", None) or env.env.decision_period
         expected = 1.0 / (period * env.unwrapped.simulator.scenario.tau)
         assert env.metadata["render_fps"] == pytest.approx(expected, rel=1e-12)

@@ -23,15 +23,15 @@ CASES = {
     "law (7), cos t": ("unicycle-cosine", "unicycle-6", {}),
     "laws (12) and (17)": ("nonholonomic-3d", "uav-6", {}),
     "damped": ("damped", "duo", {"robot_model": "double_integrator"}),
-    "tuned": ("tangent-joined-tuned", "clutter-8", {}),
-    "tuned, dense": ("tangent-joined-tuned", "clutter-24", {"n_robots": 3}),
-    "tank": ("tank-joined", "clutter-8", {}),
-    "tank, walls": ("tank-joined", "rooms", {}),
+    "tuned": ("tangent-merged-tuned", "clutter-8", {}),
+    "tuned, dense": ("tangent-merged-tuned", "clutter-24", {"n_robots": 3}),
+    "tank": ("tank-merged", "clutter-8", {}),
+    "tank, walls": ("tank-merged", "rooms", {}),
     "learned": ("learned", "clutter-8", {}),
     "learned, free": ("learned", "duo", {}),
     "learned tank": ("learned-tank", "corridor", {}),
 }
-for _name in ("tangent-joined-tuned", "tank-joined", "learned", "learned-tank"):
+for _name in ("tangent-merged-tuned", "tank-merged", "learned", "learned-tank"):
     for _scenario in ("unicycle-clutter-8", "clutter-3d", "uav-clutter-16"):
         CASES[f"{_name}, {_scenario}"] = _name, _scenario, {}
 SLOW = {case for case, (name, *_) in CASES.items() if name.startswith(("t", "learned"))}
@@ -173,9 +173,7 @@ def _random_weights(rng, settings, layout):
 def test_joined_intervals_equal_the_kernel(jax_policies):
     """Random silhouettes of all widths: rotated copies merge, wrap around and close."""
     intervals = importlib.import_module("rendezvous_env.baselines.jax.merged_intervals")
-    kernel = importlib.import_module(
-        "rendezvous_env.baselines.obstacle_rules.merged_silhouettes_2d"
-    )
+    kernel = importlib.import_module("rendezvous_env.baselines.obstacle_rules.merged_intervals_2d")
     rng = np.random.default_rng(2)
     towards = rng.uniform(-np.pi, np.pi, 400)
     start, width = rng.uniform(-np.pi, np.pi, (400, 8)), rng.uniform(0.0, 2.6, (400, 8))
@@ -184,10 +182,10 @@ def test_joined_intervals_equal_the_kernel(jax_policies):
     silhouettes[rng.random((400, 8)) < 0.2] = 0.0
     silhouettes[0] = 0.0
     u = np.stack([np.cos(towards), np.sin(towards)])
-    found = np.stack(intervals.joined_interval(tuple(u), silhouettes))
+    found = np.stack(intervals.merged_interval(tuple(u), silhouettes))
     room = np.empty((8, 2))
     expected = [
-        kernel.joined_interval_2d((x, y, 0.0), points, room)
+        kernel.merged_interval_2d((x, y, 0.0), points, room)
         for x, y, points in zip(*u, silhouettes, strict=True)
     ]
     expected = np.array(expected).T
@@ -205,13 +203,13 @@ def test_make_names_what_has_no_jax_form(jax_policies):
     with pytest.raises(ValueError, match="policy 'unicycle' does not fit"):
         jax_policies.make("unicycle", "duo")
     with pytest.raises(ValueError, match="clearance is 4"):
-        jax_policies.make("tangent-joined-tuned", "clutter-8", clearance=4.0)
-    assert {"bearing-only", "tank-joined", "learned"} <= set(jax_policies.names())
+        jax_policies.make("tangent-merged-tuned", "clutter-8", clearance=4.0)
+    assert {"bearing-only", "tank-merged", "learned"} <= set(jax_policies.names())
 
 
 @pytest.mark.parametrize(
     "name",
-    ["bearing-only", slow("tangent-joined-tuned"), slow("tank-joined")],
+    ["bearing-only", slow("tangent-merged-tuned"), slow("tank-merged")],
 )
 def test_gradients_of_rules_are_finite_where_nothing_is_observed(name, jax_policies):
     import jax

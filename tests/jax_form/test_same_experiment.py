@@ -26,7 +26,9 @@ SEAMS = [
     rv.Polygon(((-2.0, -1.0), (0.0, -1.0), (0.0, 1.0), (-2.0, 1.0))),
     rv.Polygon(((0.0, -1.0), (2.0, -1.0), (2.0, 1.0), (0.0, 1.0))),
     rv.Disc((0.0, 1.5), 0.5),
+    rv.Capsule(((-1.0, -2.0), (1.0, -2.5)), 0.4),
 ]
+"""Shapes of all kinds, two of which touch."""
 SPACE = [
     rv.Capsule(((-1.0, -1.0, 0.3), (1.0, 1.5, -0.2)), 0.6),
     rv.Sphere((1.5, -1.0, 0.5), 0.8),
@@ -45,9 +47,11 @@ CASES = {
     "vehicles in space": ("uav-6", None, {"n_robots": 4}),
     "inertia": ("duo", None, {"robot_model": "double_integrator", "n_robots": 4}),
     "inertia in space": ("uav-6", None, {"robot_model": "double_integrator", "n_robots": 4}),
-    "star": ("duo", None, {"n_robots": 4, "graph": "star", "local_frames": "global"}),
+    "star in a box": (
+        "duo", None,
+        {"n_robots": 4, "graph": "star", "local_frames": "global", "spawn_size": (2.0, 5.0)},
+    ),
     "many in space": ("duo", None, {"n_robots": 50, "dim": 3, "spawn_size": 6.0}),
-    "box": ("duo", None, {"n_robots": 4, "spawn_size": (2.0, 5.0)}),
     "two in space": ("duo", "heading", {"dim": 3}),
     "drawn weights": ("duo", None, {"n_robots": 4, "graph": graphs.complete((0.5, 2.0))}),
     "drawn arcs": ("duo", None, {"n_robots": 4, "graph": graphs.directed_cycle((0.5, 2.0))}),
@@ -71,10 +75,8 @@ CASES = {
     "ignored": ("fig3", None, LONG),
     "corridor": ("corridor", None, {**LONG, "obstacle_contact": "stop"}),
     "rooms": ("rooms", None, LONG),
-    "all shapes": ("duo", None, {"n_robots": 4, "obstacles": PLANE, **AMONG}),
-    "seams": ("duo", None, {"n_robots": 4, "obstacles": SEAMS, **AMONG, **HIDDEN}),
+    "all shapes": ("duo", None, {"n_robots": 4, "obstacles": SEAMS, **AMONG, **HIDDEN}),
     "disjoint discs": ("duo", None, {"n_robots": 2, "obstacles": DISJOINT, **AMONG, **GIVEN}),
-    "spheres": ("clutter-3d", None, LONG),
     "capsules in space": ("duo", None, {"n_robots": 3, "dim": 3, "obstacles": SPACE, **AMONG}),
     "unicycles among discs": ("unicycle-clutter-8", None, LONG),
     "vehicles among spheres": ("uav-clutter-16", None, LONG),
@@ -92,7 +94,7 @@ CASES = {
     "noise on a cycle": ("ring-12", None, {"sensing": rv.Sensing(noise=0.2, dropout=0.2)}),
 }  # fmt: skip
 SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
-FAST = {"discs"}
+FAST = {"plane"}
 TOUCHING = {"discs", "figure", "corridor", "all shapes"}
 
 

@@ -8,10 +8,10 @@ import torch
 
 import rendezvous_env as rv
 from rendezvous_env.adapters.slots import of_one_robot
+from train.learn.environments import make_environments
 from train.learn.networks import FAR, GlobalStateLayout
 from train.learn.recurrent import Sequences, learner_of
 from train.learn.settings import Config
-from train.learn.teams import make_environments
 
 CONFIG = Config(
     scenario="clutter-12", set=("time_limit=3",), guarantee="tank", budget=2.0, critic="global",

@@ -118,7 +118,7 @@ def test_deployed_policy_matches_training():
         actions = ours(observations, 0.0)
         hidden = ours._hidden.reshape(-1, UNITS).copy()
         observations, _, met, cut, _ = served.step(actions)
-        np.testing.assert_array_equal(observations, robots.teams._observed)
+        np.testing.assert_array_equal(observations, robots.vector_env._observed)
         over = np.repeat(met | cut, SCENARIO.n_robots)
         same = ~over & observations.any(axis=(-1, -2)).reshape(-1)
         np.testing.assert_allclose(hidden[same], policy.hidden[same], atol=1e-5)
@@ -135,7 +135,7 @@ def test_memory_changes_decisions(collected):
     seen = seen[seen.any(dim=-1)]
     hidden = torch.randn(len(seen), UNITS)
     arrays = {name: value.numpy() for name, value in made.policy.state_dict().items()}
-    layout = made.get_env().teams.layout
+    layout = made.get_env().vector_env.layout
     ours, after = NumpyActor(arrays, SETTINGS, layout), hidden.numpy().copy()
     found = [ours.preferences(seen.numpy(), after), ours.preferences(seen.numpy())]
     for before, preferences in zip((hidden, torch.zeros_like(hidden)), found, strict=True):

@@ -9,8 +9,8 @@ from training_runs import UPDATE, assert_goes_on, config
 from baselines.learned import checkpoints
 from rendezvous_env.sensors.sensing import Sensing
 from train.learn import ppo, trainer
+from train.learn.environments import make_environments
 from train.learn.sensing_ranges import check_ranges, draw
-from train.learn.teams import make_environments
 
 RANGES = {
     "noise": (0.05, 0.2), "bias": (0.0, 0.1), "dropout": (0.1, 0.3), "range": (10.0, 20.0),
@@ -64,7 +64,7 @@ class TestRanges:
         assert drawn.delay == 0 and 0.1 <= drawn.delay_time <= 0.2
         drawn = draw(Sensing(delay_time=0.3), {"delay": (1, 3)}, 1.0, (0,))
         assert drawn.delay_time == 0.0 and 1 <= drawn.delay <= 3
-        with pytest.raises(ValueError, match=r"delay and sensing\.delay_time have a range; leave"):
+        with pytest.raises(ValueError, match=r"delay and sensing\.delay_time both have a range"):
             check_ranges({"delay": (1, 2), "delay_time": (0.1, 0.2)}, 0.5)
 
 
@@ -119,7 +119,7 @@ class TestGroups:
         seen, _ = teams.reset(seed=list(range(8)))
         assert not seen.any()
         teams.step(np.full((8, 4), 3))
-        assert not any(group.guided.choices.any() for group in teams.groups)
+        assert not any(group.controller.choices.any() for group in teams.groups)
 
 
 @pytest.mark.slow

@@ -144,7 +144,7 @@ class TestResult:
     def test_result_holds_last_metrics_and_best_evaluation(self, tmp_path):
         told = []
         result = ppo.run(
-            config(tmp_path, eval_every=2 * UPDATE, eval_starts=6),
+            config(tmp_path, eval_every=2 * UPDATE, eval_episodes=6),
             on_update=lambda update, metrics: told.append((update, metrics)),
         )
         assert result.folder == tmp_path and result.status == 0 and not result.stopped

@@ -9,9 +9,9 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
-from train.learn.rollout_buffer import Rule, slopes_of
+from train.learn.environments import TimedRobotVecEnv, make_environments
+from train.learn.rollout_buffer import LossCoefficients, slopes_of
 from train.learn.settings import Config
-from train.learn.teams import TimedRobotVecEnv, make_environments
 from train.learn.trainer import Trainer
 
 STEPS = 40
@@ -99,7 +99,7 @@ def test_gradients_equal_autograd():
     error = (values[:, 0] - returns).square().sum()
     (0.5 * error - gain - 0.01 * entropy).backward()
     samples = RolloutBufferSamples(torch.zeros(1), actions, values, old, advantages, returns)
-    slopes, sums = slopes_of((preferences, values), samples, Rule(0.2, 0.5, 0.01))
+    slopes, sums = slopes_of((preferences, values), samples, LossCoefficients(0.2, 0.5, 0.01))
     torch.testing.assert_close(slopes, [preferences.grad, values.grad], atol=1e-5, rtol=1e-5)
     clipped = int(((ratio - 1).abs() > 0.2).sum())
     divergence = (ratio - 1 - ratio.log()).sum()

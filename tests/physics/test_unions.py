@@ -56,7 +56,7 @@ class TestTheIssue:
     """A closed room, and a wall of tiles 80 m long."""
 
     @pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
-    @pytest.mark.parametrize("policy", ["bearing-only", "tangent-joined-tuned"])
+    @pytest.mark.parametrize("policy", ["bearing-only", "tangent-merged-tuned"])
     def test_a_robot_in_a_room_without_a_door_is_not_met(self, policy, angle):
         room = turned([Polygon(vertices) for vertices in ROOM], angle)
         scenario = rv.Scenario(
@@ -198,7 +198,7 @@ class TestMotion:
             assert contact and not moved.any()
         assert not move_one_straight((0.0, 0.5), (0.0, 0.0), world(self.WALL), SLIDE)[1]
         assert not clear_of_obstacles((0.0, 0.5, 0.0), world(self.WALL), 0.0)
-        with pytest.raises(ValueError, match=r"robot_0 at .* is between obstacles that leave no"):
+        with pytest.raises(ValueError, match=r"robot_0 at .* is between obstacles without"):
             rv.Scenario(n_robots=2, obstacles=self.WALL, start_positions=[[0, 0.5], [3, 3]])
 
     def test_ignored_obstacles_have_no_seams(self):
@@ -302,7 +302,7 @@ class TestAgainstShapely:
                     assert found == pytest.approx(wanted, abs=1e-9)
 
     def test_silhouettes_cover_the_angular_extent_of_the_union(self):
-        """As in tangent-joined: ends of the merged intervals."""
+        """As in tangent-merged: ends of the merged intervals."""
         random = np.random.default_rng(1)
         for _ in range(20):
             shapes, union = self.shapes(random)

@@ -106,8 +106,8 @@ class TestRegistry:
         cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield", *steered}
         cars |= {"search-and-pursue", "learned-search"}
         flyers = {"nonholonomic-3d", "pursuit", *steered}
-        rules = {"tangent", "tangent-blocking", "tangent-joined"}
-        among_discs = {"tangent-joined", "tangent-joined-tuned", "tank-joined"}
+        rules = {"tangent", "tangent-blocking", "tangent-merged"}
+        among_discs = {"tangent-merged", "tangent-merged-tuned", "tank-merged"}
         rules |= {f"{rule}-certified" for rule in rules} | among_discs
         for scenario, wanted in (
             (POINT, plane),
@@ -141,7 +141,7 @@ class TestRegistry:
             ("bearing_only", POINT, {}, "is unknown.*bearing-only.*did you mean 'bearing-only'"),
             ("unicycle", POINT, {}, "does not fit single_integrator robots in 2-D.*bearing-only"),
             ("tangent", POINT, {}, "with 0 obstacle slots"),
-            ("tangent-joined", CLUTTER, {"clearence": 1}, "'clearence'; did you mean 'clearance'"),
+            ("tangent-merged", CLUTTER, {"clearence": 1}, "'clearence'; did you mean 'clearance'"),
             ("zero", POINT, {"seed": 1}, "no option 'seed'; known are none"),
         ],
     )

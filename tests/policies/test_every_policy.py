@@ -31,13 +31,13 @@ FILTERED = {
 }
 ELSEWHERE = {
     "unicycle-clutter-8": (
-        "tangent-joined", "tangent-joined-tuned", "tank-joined", "learned", "learned-tank",
+        "tangent-merged", "tangent-merged-tuned", "tank-merged", "learned", "learned-tank",
         "privileged-planner",
     ),
     "clutter-3d": (
-        "tangent-joined-tuned", "learned", "learned-tank", "tank-joined", "privileged-planner",
+        "tangent-merged-tuned", "learned", "learned-tank", "tank-merged", "privileged-planner",
     ),
-    "uav-clutter-16": ("tangent-joined-tuned",),
+    "uav-clutter-16": ("tangent-merged-tuned",),
     "uav-6": ("learned-tank",),
 }  # fmt: skip
 ALSO_ELSEWHERE = [f"{name} {field}" for field, names in ELSEWHERE.items() for name in names]
@@ -134,7 +134,7 @@ def test_masked_reset_affects_masked_environments_only(name):
 
 
 def test_memory_matters_and_foreign_batches_are_rejected():
-    (tank, scenario), (rule, _) = made("tank-joined"), made("tangent-certified")
+    (tank, scenario), (rule, _) = made("tank-merged"), made("tangent-certified")
     rule.reset(np.array([True]))  # nothing to forget yet
     first, *_, last = sights(rule, scenario, steps=6)
     assert not np.array_equal(rule(last, 0.0), made("tangent-certified")[0](last, 0.0))
@@ -183,8 +183,8 @@ THROUGH = {"time_limit": 25.0, "obstacle_contact": "ignore"}
 @pytest.mark.parametrize(
     ("name", "field", "changes"),
     [
-        ("tangent-joined-tuned", "slab-3d", THROUGH),
-        ("tangent-joined-tuned", "clutter-3d-96", THROUGH),
+        ("tangent-merged-tuned", "slab-3d", THROUGH),
+        ("tangent-merged-tuned", "clutter-3d-96", THROUGH),
         ("learned", "fig4", {}),
         ("learned", "duo", {"time_limit": 1000.0}),
         ("learned", "clutter-24", {"n_robots": 8, "time_limit": 3.0}),

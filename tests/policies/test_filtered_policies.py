@@ -84,7 +84,7 @@ def test_single_integrators_of_mixed_teams_keep_their_direction_at_the_speed_lim
 )
 def test_wrong_shape_of_choose_names_its_numbers(make, models, said):
     policy = make(rv.Scenario(n_robots=2, robot_model=models), lambda seen: np.zeros((1, 2, 7)))
-    with pytest.raises(ValueError, match=r"choose gave an array of shape \(1, 2, 7\)") as caught:
+    with pytest.raises(ValueError, match=r"choose returned shape \(1, 2, 7\)") as caught:
         policy(np.zeros((1, 2, 1, 2), np.float32), 0.0)
     assert said in str(caught.value)
 
@@ -181,7 +181,7 @@ class TestFunctions:
         seen, raw = np.zeros((3, n, *layout.shape)), np.zeros((3, n, 2))
         raw[1, 2, 0] = np.nan
         for choice, given, message in (
-            ([0.0, 1.0], seen, rf"choose gave .* \(2,\); .* \(3, {n}, 2\)"),
+            ([0.0, 1.0], seen, rf"choose returned .* \(2,\); .* \(3, {n}, 2\)"),
             (raw, seen, "action of robot_2 in environment 1 is"),
             (raw, seen[:, :1], "observations have shape"),
         ):
@@ -308,7 +308,7 @@ class TestDicts:
     @pytest.mark.parametrize("flatten", [False, True])
     @pytest.mark.parametrize(
         "name",
-        ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined", "privileged-planner"],
+        ["bearing-only", "tangent-merged-tuned", "learned", "tank-merged", "privileged-planner"],
     )
     def test_policies_accept_pettingzoo_dicts(self, name, flatten):
         scenario = rv.scenarios.get("clutter-4").replace(time_limit=8.0, merge_radius=1.0)
@@ -330,7 +330,7 @@ class TestDicts:
     def test_unknown_agents_and_shapes_are_rejected(self):
         policy = baselines.make("bearing-only", "duo")
         assert policy({}, 0.0) == {}
-        with pytest.raises(KeyError, match="no robot is called 'robot_2'"):
+        with pytest.raises(KeyError, match="there is no robot 'robot_2'"):
             policy({"robot_2": np.zeros((1, 2))}, 0.0)
         with pytest.raises(ValueError, match="observation of robot_0 has shape"):
             policy({"robot_0": np.zeros(5)}, 0.0)

@@ -107,11 +107,11 @@ def before_spheres(obstacles):
 @pytest.mark.parametrize(
     ("name", "field", "is_before", "least"),
     [
-        ("tangent-joined", "unicycle-clutter-24-slower", before_edges, 100),
-        ("tangent-joined-tuned", "unicycle-clutter-24-slower", before_edges, 100),
-        ("tank-joined", "unicycle-clutter-24-slower", before_edges, 100),
-        ("tangent-joined", "uav-clutter-16", before_spheres, 500),
-        ("tangent-joined-tuned", "uav-clutter-16", before_spheres, 500),
+        ("tangent-merged", "unicycle-clutter-24-slower", before_edges, 100),
+        ("tangent-merged-tuned", "unicycle-clutter-24-slower", before_edges, 100),
+        ("tank-merged", "unicycle-clutter-24-slower", before_edges, 100),
+        ("tangent-merged", "uav-clutter-16", before_spheres, 500),
+        ("tangent-merged-tuned", "uav-clutter-16", before_spheres, 500),
     ],
 )
 def test_rules_never_drive_into_visible_obstacles(name, field, is_before, least):
@@ -136,7 +136,7 @@ def test_memory_is_steady_while_robot_turns():
     It does not depend on the robot's rotation: the robot turns on the spot, then drives.
     """
     scenario = rv.scenarios.get("unicycle-clutter-24-slower")
-    policy = baselines.make("tank-joined", scenario, clearance=0.2)
+    policy = baselines.make("tank-merged", scenario, clearance=0.2)
     layout, yaw, speeds = scenario.observation_layout, 0.0, []
     for _ in range(40):
         seen = np.zeros((1, scenario.n_robots, *layout.shape), np.float32)
@@ -154,7 +154,7 @@ def test_memory_is_steady_while_robot_turns():
     assert yaw == pytest.approx(0.7, abs=1e-4)
 
 
-@pytest.mark.parametrize("name", ["tangent-joined", "tank-joined"])
+@pytest.mark.parametrize("name", ["tangent-merged", "tank-merged"])
 def test_touching_robot_drives_away(name):
     """It starts on the surface, facing away; silhouettes are half of all directions."""
     for dim, model, obstacle in (

@@ -10,7 +10,7 @@ import baselines
 from baselines.obstacle_rules.obstacle_avoidance import (
     tangent_blocking_heading,
     tangent_heading,
-    tangent_joined_heading,
+    tangent_merged_heading,
 )
 from rendezvous_env.scenario.scenario import Scenario
 from train.verify.monitors import unit
@@ -23,7 +23,7 @@ CLEAR = CLEARANCE / DEGREE
 RULES = {
     "tangent": tangent_heading,
     "tangent-blocking": tangent_blocking_heading,
-    "tangent-joined": tangent_joined_heading,
+    "tangent-merged": tangent_merged_heading,
 }
 
 
@@ -122,7 +122,7 @@ def test_merged_interval_rule_matches_brute_force():
         tilt = random.uniform(-math.pi, math.pi)
         c, s = polar(tilt)
         points = points @ np.array([[c, s], [-s, c]])
-        heading = tangent_joined_heading(polar(tilt), points, clearance=CLEARANCE)
+        heading = tangent_merged_heading(polar(tilt), points, clearance=CLEARANCE)
         expected = by_brute_force(list(zip(low, high, strict=True)), CLEARANCE)
         if expected is None:
             continue
@@ -143,7 +143,7 @@ def test_rules_in_3d_match_hand_computation():
         points[1] = there
         for rule, heading in zip(RULES.values(), expected, strict=True):
             np.testing.assert_allclose(rule(f, points), heading, atol=1e-12)
-    for rule in (tangent_blocking_heading, tangent_joined_heading):
+    for rule in (tangent_blocking_heading, tangent_merged_heading):
         np.testing.assert_array_equal(rule(f, np.stack([beside, 0 * beside])), f)
 
 
@@ -166,7 +166,7 @@ def test_merged_cone_rule_takes_nearest_free_direction():
         free &= (groups == groups[at_start.argmin()])[:, None]
         nearest = np.where(free, rays @ towards, -2.0)
         points = np.stack([ring(c, a, towards) for c, a in zip(centres, halves, strict=True)])
-        heading = tangent_joined_heading(f, points)
+        heading = tangent_merged_heading(f, points)
         if at_start.min() >= CLEARANCE or not free.any():
             np.testing.assert_allclose(heading, towards, atol=1e-12)
             continue
@@ -190,7 +190,7 @@ def test_touching_robot_leaves_along_f_without_pressing(dim):
             points = np.stack([left, -left])[None] + np.float32(0)  # as observations, never −0
         else:
             points = ring(towards, math.pi / 2, f).astype(np.float32)[None]
-        for rule, clear in ((tangent_blocking_heading, 0.0), (tangent_joined_heading, CLEARANCE)):
+        for rule, clear in ((tangent_blocking_heading, 0.0), (tangent_merged_heading, CLEARANCE)):
             away, into = rule(f, points), rule(-f, points)
             if f @ towards < -np.linalg.norm(f) * math.sin(clear):
                 np.testing.assert_allclose(away, f / np.linalg.norm(f), atol=1e-12)
@@ -203,7 +203,7 @@ def test_touched_obstacle_with_swapped_edges_still_blocks(swapped):
     """From rounding or sensor errors: the obstacle at +x covers about half of all directions."""
     angles = 0.5 * math.pi * np.array([1.0, -1.0]) + 0.5 * swapped * np.array([1.0, -1.0])
     points = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[None]
-    heading = tangent_joined_heading(np.array([1.0, 0.3]), points, clearance=CLEARANCE)
+    heading = tangent_merged_heading(np.array([1.0, 0.3]), points, clearance=CLEARANCE)
     assert heading[0] == pytest.approx(-math.sin(CLEARANCE + 0.5 * swapped), abs=1e-6)
 
 

@@ -87,7 +87,7 @@ class TestWays:
 
     def test_too_many_corners_are_rejected(self):
         discs = [Disc((3.0 * k, 0.0), 1.0) for k in range(300)]
-        with pytest.raises(ValueError, match="4800 corners; ways are planned among 4000 at most"):
+        with pytest.raises(ValueError, match="4800 corners; the planner supports at most 4000"):
             Roadmap(pack(discs, 300), 0.1)
 
     def test_pointed_obstacle_blocks_beyond_bounding_ball(self):
@@ -113,8 +113,8 @@ class TestItPasses:
     @pytest.mark.parametrize(
         ("name", "starts", "fails"),
         [
-            ("trap", 40, "tangent-joined-tuned"), ("clutter-3d-96", 2, ""),
-            *(slow(name, 40, "tangent-joined-tuned")
+            ("trap", 40, "tangent-merged-tuned"), ("clutter-3d-96", 2, ""),
+            *(slow(name, 40, "tangent-merged-tuned")
               for name in ("corridor", "rooms", "clutter-32")),
             slow("clutter-3d-32", 10, ""), slow("slab-3d", 20, "bearing-only"),
             slow("bowl-3d", 10, ""), slow("window-3d", 10, ""), slow("uav-clutter-16", 3, ""),

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from baselines.robot_sight import RobotSight, min_cost_slots
+from baselines.observation_builder import ObservationBuilder, min_cost_slots
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
 
@@ -31,7 +31,7 @@ def measured(rows, layout, random):
     seen = layout.split(rows)
     neighbours = seen.neighbours[seen.neighbours.any(axis=-1)]
     obstacles = random.permutation(seen.obstacles[seen.obstacles.any(axis=(1, 2))])
-    points = layout.silhouette_points
+    points = layout.rows_per_obstacle
     obstacles = [np.roll(one, random.integers(points), axis=0) for one in obstacles]
     told = {} if seen.gravity is None else {"gravity": seen.gravity}
     if layout.dim == 2:
@@ -44,19 +44,19 @@ def measured(rows, layout, random):
 
 
 IN_THE_PLANE = (
-    ("bearing-only", CLUTTER), ("tangent-joined", CLUTTER), ("tangent-joined-tuned", CLUTTER),
+    ("bearing-only", CLUTTER), ("tangent-merged", CLUTTER), ("tangent-merged-tuned", CLUTTER),
     ("learned", CLUTTER), ("learned-tank", CLUTTER), ("learned-tank", TURNING),
     ("unicycle", "unicycle-6"), ("unicycle-cosine", "unicycle-6"),
 )  # fmt: skip
 UNICYCLES = (
-    ("tangent-joined", "unicycle-clutter-8"),
-    ("tangent-joined-tuned", "unicycle-clutter-24-slow"),
+    ("tangent-merged", "unicycle-clutter-8"),
+    ("tangent-merged-tuned", "unicycle-clutter-24-slow"),
 )
 IN_SPACE = (
     ("learned-tank", "clutter-3d-32"), ("learned-tank", "window-3d"),
     ("learned-tank", "uav-clutter-16"), ("learned", "clutter-3d-32"),
-    ("tangent-joined", "clutter-3d-32"), ("tangent-joined", "uav-clutter-16"),
-    ("tangent-joined-tuned", "clutter-3d-96"), ("tangent-joined-tuned", "uav-clutter-16"),
+    ("tangent-merged", "clutter-3d-32"), ("tangent-merged", "uav-clutter-16"),
+    ("tangent-merged-tuned", "clutter-3d-96"), ("tangent-merged-tuned", "uav-clutter-16"),
     ("nonholonomic-3d", "uav-6"),
 )  # fmt: skip
 
@@ -266,7 +266,7 @@ def test_actions_are_float64_that_messages_of_robots_can_hold(policy, scenario):
     assert all(isinstance(value, float) for value in action)  # what a message field must be
 
 
-@pytest.mark.parametrize("name", ["learned", "tangent-joined-tuned", "learned-tank"])
+@pytest.mark.parametrize("name", ["learned", "tangent-merged-tuned", "learned-tank"])
 def test_asynchronous_team_keeps_margin_and_meets(name):
     """Each robot ticks 10 to 50 ms after its last tick, and holds its velocity."""
     field = rv.scenarios.get("clutter-8")
@@ -295,7 +295,7 @@ def test_asynchronous_team_keeps_margin_and_meets(name):
 class TestTime:
     def test_heading_turn_is_limited_by_elapsed_time(self):
         for dt in (0.02, 0.05):
-            robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
+            robot = RobotPolicy(CLUTTER, "tangent-merged-certified", max_turn_rate=1.0)
             before = robot.act(along(0))
             after = robot.act(along(60), dt=dt)
             turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
@@ -307,24 +307,24 @@ class TestTime:
         for dt in (0.02, 0.05):
             robot, shown = RobotPolicy(CLUTTER), []
             robot.act(along(0), [along(40, 60)], dt=dt)
-            guided, time = robot.policy._guided, 0.0
-            show = guided.show
+            controller, time = robot.policy._controller, 0.0
+            show = controller.show
 
             def watched(*seen, show=show, shown=shown):
                 shown.append(show(*seen))
                 return shown[-1]
 
-            guided.show = watched
+            controller.show = watched
             while not shown:
                 time += dt
                 turn = np.degrees(time)
                 robot.act(along(0), [along(40 + turn, 60 + turn)], dt=dt)
-            obstacles = guided.perception.layout.split(shown[0][0, 0]).obstacles
+            obstacles = controller.perception.layout.split(shown[0][0, 0]).obstacles
             rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
         np.testing.assert_allclose(rates, 1.0, atol=1e-4)
 
     def test_reset_restarts_policy(self):
-        robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
+        robot = RobotPolicy(CLUTTER, "tangent-merged-certified", max_turn_rate=1.0)
         fresh = robot.act(along(50))
         robot.act(along(0), dt=1.0)
         robot.reset()
@@ -336,7 +336,7 @@ class TestTime:
         rows = np.zeros((1, CLUTTER.n_robots, *CLUTTER.observation_layout.shape), np.float32)
         rows[0, 0, :2] = along(0, 30)
         tank(rows, 0.0)
-        steering = tank._guided.steering
+        steering = tank._controller.steering
         full, begun = tank.levels[0, 0], steering.budget
         steering.settle(0.25)
         assert full != begun
@@ -345,13 +345,13 @@ class TestTime:
         assert tank.levels[0, 0] == pytest.approx(begun + 0.25 * (full - begun), rel=1e-12)
 
 
-class TestSight:
+class TestObservationBuilder:
     A, B, C = along(40, 20), along(80, 60), along(-100, -120)
 
     def shown(self, *looks):
         """Obstacle slots after each tick of a robot among some obstacles."""
-        sight = RobotSight(layout := CLUTTER.observation_layout, 3.0)
-        return [layout.split(sight.rows(along(0), look, None)).obstacles for look in looks]
+        builder = ObservationBuilder(layout := CLUTTER.observation_layout, 3.0)
+        return [layout.split(builder.rows(along(0), look, None)).obstacles for look in looks]
 
     def test_obstacles_keep_slots(self):
         one, two = self.shown([self.A, self.B], [self.C, along(83, 62), along(44, 23)])
@@ -381,7 +381,7 @@ class TestSight:
         ({"obstacles": along(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
         ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(k,\) = \(1,\)"),
-        ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; this scenario's come to D̄ = 3 m/s at"),
+        ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; the maximum in this scenario is D̄ = 3 m/s"),
         ({"weights": [-1.0]}, r"weights\[0\] is -1\.0; it must be positive"),
     ],
 )  # fmt: skip
@@ -403,9 +403,9 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
         ("uav-6", {}, "gravity is None; it must be its direction in the body frame, a unit"),
         ("uav-6", {"gravity": [0, 0, -2.0]}, r"gravity is \[0, 0, -2.0\]; .* a unit vector \(3,\)"),
         ("uav-6", {"gravity": [0, -1.0]}, r"gravity is \[0, -1.0\]; .* a unit vector \(3,\)"),
-        ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be left out"),
+        ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be omitted"),
         ("clutter-3d", {"obstacles": [along(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
-        ("clutter-3d", {"obstacles": [OPPOSITE]}, r"obstacles\[0\] .* rays round a cone"),
+        ("clutter-3d", {"obstacles": [OPPOSITE]}, r"obstacles\[0\] .* rays around a cone"),
     ],
 )  # fmt: skip
 def test_bad_measurements_in_3d_are_named(field, change, message):
@@ -416,8 +416,8 @@ def test_bad_measurements_in_3d_are_named(field, change, message):
 def test_unsupported_robots_and_policies_are_rejected():
     with pytest.raises(ValueError, match=r"has double_integrator robots; a RobotPolicy steers"):
         RobotPolicy(rv.Scenario(robot_model="double_integrator"), LAWS["single_integrator"])
-    with pytest.raises(ValueError, match=r"'tank-joined' is one of the rules under an energy tank"):
-        RobotPolicy(CLUTTER, "tank-joined")
+    with pytest.raises(ValueError, match=r"'tank-merged' is one of the rules under an energy tank"):
+        RobotPolicy(CLUTTER, "tank-merged")
     with pytest.raises(ValueError, match=r"policy 'learnt' is unknown.*did you mean 'learned'"):
         RobotPolicy(CLUTTER, "learnt")
     with pytest.raises(ValueError, match="policy is 3; it must be a name, a Path"):

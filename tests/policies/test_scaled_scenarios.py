@@ -27,7 +27,7 @@ def times_larger(u):
     )
 
 
-@pytest.mark.parametrize("policy", ["privileged-planner", "tank-joined"])
+@pytest.mark.parametrize("policy", ["privileged-planner", "tank-merged"])
 @pytest.mark.parametrize("u", [2.0**-13, 2.0**10])
 def test_policies_are_scale_invariant(policy, u):
     """A power of two is exact; formerly lengths and budgets were absolute."""
@@ -41,7 +41,7 @@ def test_policies_are_scale_invariant(policy, u):
     np.testing.assert_allclose(found[1].positions, u * found[0].positions, rtol=1e-3, atol=1e-3 * u)
 
 
-@pytest.mark.parametrize("policy", ["tank-joined", "learned-tank"])
+@pytest.mark.parametrize("policy", ["tank-merged", "learned-tank"])
 def test_default_budget_is_within_limit(policy):
     world = times_larger(1e6)
     assert preset("tank").settings.budget_of(world) == LARGEST

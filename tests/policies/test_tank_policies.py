@@ -21,7 +21,7 @@ BAY = {
 
 
 def made(scenario=CLUTTER, **options):
-    return baselines.make("tank-joined", scenario, **options)
+    return baselines.make("tank-merged", scenario, **options)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_v_plus_ledger_decreases_without_contact(name, budget, teams, least):
 def test_tank_leaves_bay_unlike_heading(field):
     """A heading policy rests there for ever, as leaving would increase V."""
     bay = rv.scenarios.get(field).replace(name="bay", time_limit=60.0, **BAY)
-    for name, meets in (("tangent-joined-tuned", False), ("tank-joined", True)):
+    for name, meets in (("tangent-merged-tuned", False), ("tank-merged", True)):
         simulator, policy = Simulator(bay, 5), baselines.make(name, bay)
         steps = run(simulator, policy, simulator.reset(0))
         highest = np.max([simulator.lyapunov() for _ in steps], axis=0)

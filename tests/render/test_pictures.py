@@ -8,7 +8,7 @@ from drawing import at, drawn, near, still
 import baselines
 import rendezvous_env as rv
 from rendezvous_env.obstacles.obstacle_set import outlines, pack
-from rendezvous_env.render.camera import Area, fit, nice_step
+from rendezvous_env.render.camera import PixelArea, fit, nice_step
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, robot_colour
 from rendezvous_env.render.scene import ended, in_contact, outermost, sights, ways
 from train.figures import path_figures, reproduce
@@ -44,7 +44,7 @@ def test_obstacles_are_orange_at_their_position():
 def test_sphere_is_orange_and_hides_background():
     positions = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0], [0.0, 0.0, 2.5]])
     scenario = rv.Scenario(n_robots=3, dim=3, obstacles=(rv.Sphere((0.0, 0.0, 0.0), 1.0),))
-    camera = fit(positions, pack(scenario.obstacles, 1), Area(0, 0, 600, 450), 18)
+    camera = fit(positions, pack(scenario.obstacles, 1), PixelArea(0, 0, 600, 450), 18)
     behind, before = -1.5 * camera.back, 1.5 * camera.back
     points = np.array([behind, before, positions[2]])
     hidden = camera.hidden(points, pack(scenario.obstacles, 1))
@@ -65,7 +65,7 @@ def test_axes_have_equal_scale():
 
 
 def test_scene_3d_has_perspective():
-    camera = fit(np.eye(3) * 4, np.zeros((0, 5)), Area(0, 0, 600, 400), 20)
+    camera = fit(np.eye(3) * 4, np.zeros((0, 5)), PixelArea(0, 0, 600, 400), 20)
     near, far = (camera.nearness(camera.centre + sign * camera.back) for sign in (1, -1))
     assert near > 1 > far
     up = camera.directions(camera.centre, np.array([0.0, 0.0, 1.0]))
@@ -188,9 +188,9 @@ def test_capsule_in_3d_is_drawn_as_balls(radius, count):
 
 
 def test_figure_shows_capsule():
-    found = rv.rollout(LOG, baselines.make("tangent-joined", LOG), options=BESIDE)
+    found = rv.rollout(LOG, baselines.make("tangent-merged", LOG), options=BESIDE)
     recording = reproduce.one_team(found)
-    path_figures.team_figure(LOG, recording, "tangent-joined").canvas.draw()
+    path_figures.team_figure(LOG, recording, "tangent-merged").canvas.draw()
     (part,) = outlines(recording["obstacles"], 2)
     assert len(part.vertices) == 34 and part.centre.tolist() == [0.0, 0.0]
     assert np.hypot(*part.vertices.T).max() == pytest.approx(np.hypot(2, 1) + 0.5)
@@ -282,7 +282,7 @@ def test_numbers_stand_beside_robots():
 
 def test_the_header_names_the_policy_and_the_legend_explains_marks():
     env, bare = drawn("fig4")
-    env.renderer.policy = "tangent-joined"
+    env.renderer.policy = "tangent-merged"
     named = env.render()
     changed = np.argwhere((bare != named).any(axis=-1))
     assert len(changed) > 100 and changed[:, 0].max() < 30  # in the header alone

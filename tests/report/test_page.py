@@ -93,7 +93,7 @@ class TestTables:
     @pytest.mark.slow
     def test_best_of_each_scenario_is_marked(self, opened):
         shown = browsing.cells_of(opened, "#best-table tbody tr")
-        best = [["fig4", "tangent-joined"], ["uav-6", "nonholonomic-3d"]]
+        best = [["fig4", "tangent-merged"], ["uav-6", "nonholonomic-3d"]]
         assert [cells[:2] for cells in shown] == best
 
     @pytest.mark.slow
@@ -123,7 +123,7 @@ def test_figures_can_be_saved(opened, compared):
     opened.keyboard.press("ArrowRight")
     with opened.expect_download() as saved:
         opened.locator("button.png").nth(1).click()
-    assert saved.value.suggested_filename == "fig4-0-tangent-joined-0.05_s.png"
+    assert saved.value.suggested_filename == "fig4-0-tangent-merged-0.05_s.png"
     image = imread(saved.value.path())
     world = opened.locator(".world canvas").nth(1).bounding_box()
     assert image.shape[0] > world["height"] and image.shape[1] > 1.4 * world["width"]

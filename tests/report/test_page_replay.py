@@ -33,10 +33,10 @@ address, opened, recorded = browsing.address, browsing.opened, browsing.recorded
 class TestReplay:
     def test_replay_opens_at_differing_episode(self, opened, recorded):
         assert opened.input_value("#scenario") == "fig4" and clock(opened) == 0
-        assert chosen(opened) == ["bearing-only", "tangent-joined"]
+        assert chosen(opened) == ["bearing-only", "tangent-merged"]
         said = opened.text_content("#said")
         contacts = int(recorded("contacts")[-1].sum())
-        assert f"with {contacts} robot-steps in contact; tangent-joined meets after" in said
+        assert f"with {contacts} robot-steps in contact; tangent-merged meets after" in said
         assert said.endswith("without a contact.")
 
     def test_play_moves_robots_to_end(self, opened, recorded):
@@ -51,7 +51,7 @@ class TestReplay:
         opened.click("#play")
         wait_until(opened, lambda: opened.evaluate("window.words.at(-1)") == "Play")
         assert opened.evaluate("[...new Set(window.words)]") == ["Pause", "Play"]
-        times = recorded("times"), recorded("times", "tangent-joined")
+        times = recorded("times"), recorded("times", "tangent-merged")
         assert clock(opened) == pytest.approx(max(t[-1] for t in times), abs=0.006)
         assert picture(opened, 0) != before[0] and picture(opened, 1) != before[1]
         states = opened.locator(".state").all_text_contents()
@@ -73,7 +73,7 @@ class TestReplay:
     def test_scrubbing_sets_time(self, opened, recorded):
         box = opened.locator("#time").bounding_box()
         opened.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-        end = max(recorded("times")[-1], recorded("times", "tangent-joined")[-1])
+        end = max(recorded("times")[-1], recorded("times", "tangent-merged")[-1])
         assert clock(opened) == pytest.approx(0.5 * end, abs=0.05)
         plot = opened.locator(".v .u-over").first.bounding_box()
         opened.mouse.click(plot["x"] + 0.25 * plot["width"], plot["y"] + 10)
@@ -155,8 +155,8 @@ class TestReplay:
     @pytest.mark.slow
     def test_sides_never_show_same_policy(self, opened):
         with reloaded(opened):
-            opened.locator("select.policy").nth(0).select_option("tangent-joined")
-        assert chosen(opened) == ["tangent-joined", "bearing-only"]
+            opened.locator("select.policy").nth(0).select_option("tangent-merged")
+        assert chosen(opened) == ["tangent-merged", "bearing-only"]
 
     @pytest.mark.slow
     def test_autoplay_respects_reduced_motion(self, browser, address):
@@ -180,7 +180,7 @@ class TestAddress:
         opened.keyboard.press("ArrowRight")
         opened.click("#robots button:nth-child(3)")
         assert parse_qs(urlsplit(opened.url).fragment) == {
-            "scenario": ["fig4"], "start": ["0"], "policy": ["bearing-only", "tangent-joined"],
+            "scenario": ["fig4"], "start": ["0"], "policy": ["bearing-only", "tangent-merged"],
             "robot": ["2"], "t": ["0.05"],
         }  # fmt: skip
 

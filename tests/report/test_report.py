@@ -91,8 +91,9 @@ class TestPage:
         data, _ = data_of(text)
         rows = results.read_csv(compared / "episodes.csv")
         for entry in data["recordings"]:
-            [row] = [row for row in rows if (row["scenario"], row["policy"], row["start"]) == (
-                entry["scenario"], entry["policy"], str(entry["start"]))]  # fmt: skip
+            place = entry["scenario"], entry["policy"], str(entry["start"])
+            keys = "scenario", "policy", "initial_condition"
+            [row] = [row for row in rows if tuple(row[key] for key in keys) == place]
             assert entry["outcome"].items() <= row.items() and "collision_free" in entry["outcome"]
             corners = [len(one["vertices"]) for one in data["obstacles"][entry["obstacles"]]]
             assert sorted(corners) == ([0, 0, 4] if entry["scenario"] == "fig4" else [])
@@ -159,7 +160,7 @@ def test_oversized_recordings_are_subsampled_and_stated(compared, monkeypatch):
     thin = [key for key, one in zip(sizes, data["recordings"], strict=True) if one["stride"] > 1]
     assert max(sizes, key=sizes.get) in thin and min(sizes, key=sizes.get) not in thin
     assert min(sizes[key] for key in thin) > budget / len(sizes)
-    assert f"{len(thin)} of 7 recordings are thinned out" in text
+    assert f"{len(thin)} of 7 recordings are subsampled" in text
     assert sum(map(len, blobs)) <= budget
     for entry, blob in zip(data["recordings"], blobs, strict=True):
         recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
@@ -188,8 +189,8 @@ def refused(one_line):
 
 
 def test_missing_folder_is_rejected(tmp_path, refused):
-    assert "there is no such folder" in refused(tmp_path / "nowhere")
-    assert "holds no run.json" in refused(tmp_path)
+    assert "the folder does not exist" in refused(tmp_path / "nowhere")
+    assert "has no run.json" in refused(tmp_path)
 
 
 FILES = ["results.csv", "episodes.csv", "paired.csv", "trajectories.npz"]
@@ -222,7 +223,8 @@ def test_modified_description_is_rejected(content, message, folder, refused):
 
 
 @pytest.mark.parametrize(
-    ("version", "renamed"), [(5, ("results", "paired", "episodes")), (6, ("episodes",))]
+    ("version", "renamed"),
+    [(5, ("results", "paired", "episodes")), (6, ("episodes",)), (7, ())],
 )
 def test_folder_of_a_former_format_is_read(version, renamed, folder, compared, reseal):
     for name in renamed:
@@ -230,8 +232,15 @@ def test_folder_of_a_former_format_is_read(version, renamed, folder, compared, r
         text = path.read_text()
         assert "collision_free" in text
         path.write_text(text.replace("collision_free", "clean"))
+    path, run = folder / "episodes.csv", run_of(folder)
+    path.write_text(path.read_text().replace(",initial_condition,", ",start,", 1))
+    assert ",start," in path.read_text()
+    run["starts"] = run.pop("initial_conditions")
+    (folder / "run.json").write_text(json.dumps(run))
     reseal(folder, format_version=version)
     former, current = read(folder), read(compared)
+    assert former.run["initial_conditions"] == current.run["initial_conditions"]
+    assert "starts" not in former.run
     assert former.rows == current.rows and "collision_free_success" in former.rows[0]
     assert former.paired == current.paired and former.episodes == current.episodes
     assert rankings(former) == rankings(current)
@@ -246,7 +255,7 @@ class TestForged:
             ({"seed": "3"}, "not readable (TypeError"),
             ({"policies": ["zero"]}, "not readable (AttributeError"),
             ({"scenarios": {"fig4": {"n_robots": 0}}}, "run.json: a scenario is not readable: n_"),
-            ({"scenarios": {"fig4": {"graph": "mine"}}}, "where a program of your own registers"),
+            ({"scenarios": {"fig4": {"graph": "mine"}}}, "if your program registers"),
             ({"files": FILES[:1]}, "run.json: names no paired.csv"),
             ({"files": [*FILES, "../secret.png"]}, "run.json: names '../secret.png', which com"),
         ],
@@ -315,12 +324,12 @@ class TestFiles:
         else:
             path.touch()
             os.truncate(path, 2**40)  # takes no room on the disk
-        what = "is not of run" if kind == "large" else "is no file"
-        assert ("holds no run.json" if name == "run.json" else f"{name}: {what}") in refused(folder)
+        what = "is not of run" if kind == "large" else "is not a file"
+        assert ("has no run.json" if name == "run.json" else f"{name}: {what}") in refused(folder)
 
 
 @pytest.mark.parametrize(
-    ("starts", "scenarios", "policies", "said"),
+    ("counts", "scenarios", "policies", "said"),
     [
         ({"duo": 1}, ["duo"], ["zero"], "1 scenario, 1 policy, 1 initial condition each (seed 3)"),
         (
@@ -332,15 +341,16 @@ class TestFiles:
         ),
     ],
 )
-def test_counts_are_said_in_the_singular_and_the_plural(starts, scenarios, policies, said):
+def test_counts_are_said_in_the_singular_and_the_plural(counts, scenarios, policies, said):
     played = {name: policies for name in scenarios}
-    run = {"policies": played, "seed": 3, "episodes": max(starts.values()), "starts": starts}
+    run = {"policies": played, "seed": 3, "episodes": max(counts.values())}
+    run["initial_conditions"] = counts
     found = SimpleNamespace(run=run, scenarios=scenarios)
     assert report._counts(found) == said
 
 
 @pytest.mark.parametrize(
-    ("count", "said"), [(0, "0 starts"), (1, "1 start"), (2, "2 starts"), (1000, "1000 starts")]
+    ("count", "said"), [(0, "0 links"), (1, "1 link"), (2, "2 links"), (1000, "1000 links")]
 )
 def test_counted_has_a_plural_unless_there_is_one(count, said):
-    assert counted(count, "start") == said
+    assert counted(count, "link") == said

@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from continuous_time import Teams, Trial, integrate, outward
+from continuous_time import Batch, ContinuousTrial, integrate, outward
 from continuous_time_laws import away, followed, turned
 
 import baselines
@@ -18,12 +18,12 @@ TEAM = {"n_robots": 5, "spawn_size": 4.0, "merge_radius": 0.2, "time_limit": 60.
 
 
 def test_two_robots_meet_at_exact_time():
-    teams = Teams(np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.0, 1.0], [0.0, 5.0]]]), 0.2)
+    teams = Batch(np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.0, 1.0], [0.0, 5.0]]]), 0.2)
 
     def law(teams):
         return followed(teams.look().bearings, teams.weights)
 
-    times, _ = integrate(Trial(teams, law, 0.07, np.array([10.0, 10.0])))
+    times, _ = integrate(ContinuousTrial(teams, law, 0.07, np.array([10.0, 10.0])))
     np.testing.assert_allclose(times, [0.9, 1.9])  # (distance − r)/2a, at no multiple of the step
     np.testing.assert_allclose(teams.positions[:, 0], [[1.0, 0.0], [0.0, 3.0]])
     assert (teams.into == 0).all() and teams.left.tolist() == [1, 1]
@@ -43,7 +43,7 @@ def test_two_robots_meet_at_exact_time():
     ids=["cross", "two merges", "no time"],
 )  # fmt: skip
 def test_merges_match_hand_computation(places, velocities, until, left, time):
-    teams = Teams(np.array([places], float), 0.2)
+    teams = Batch(np.array([places], float), 0.2)
     teams.advance(np.array([velocities], float), np.array([until]))
     assert np.flatnonzero(teams.active[0]).tolist() == left
     assert teams.time[0] == pytest.approx(time)
@@ -53,7 +53,7 @@ def test_merges_match_hand_computation(places, velocities, until, left, time):
 def test_unlinked_robots_pass_and_survivors_inherit_links():
     weights = np.array([[[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [2.0, 3.0, 0.0]]])
     places = np.array([[[0.0, 0.0], [0.05, 0.0], [1.0, 0.0]]])
-    teams = Teams(places, 0.2, weights)
+    teams = Batch(places, 0.2, weights)
     teams.advance(np.zeros((1, 3, 2)), np.array([1.0]))
     assert teams.left.tolist() == [3] and teams.time[0] == 1.0
     teams.advance(np.array([[[0.0, 0.0], [0.0, 5.0], [-1.0, 0.0]]]), np.array([2.0]))
@@ -66,14 +66,14 @@ def test_unlinked_robots_pass_and_survivors_inherit_links():
 @pytest.mark.parametrize("dim", [2, 3])
 def test_outward_is_gradient_of_size(dim):
     random = np.random.default_rng(dim)
-    teams = Teams(random.normal(size=(10, 6, dim)), 1e-6)
+    teams = Batch(random.normal(size=(10, 6, dim)), 1e-6)
     found, sizes, small = outward(teams, teams.look()), teams.size(), 1e-6
     for robot in range(6):
         gradient = np.zeros((10, dim))
         for axis in range(dim):
             moved = teams.positions.copy()
             moved[:, robot, axis] += small
-            gradient[:, axis] = (Teams(moved, 1e-6).size() - sizes) / small
+            gradient[:, axis] = (Batch(moved, 1e-6).size() - sizes) / small
         length = np.linalg.norm(gradient, axis=-1)
         corner = length > (1e-3 if dim == 2 else 0.3)
         cosine = np.sum(gradient * found[:, robot], axis=-1)[corner] / length[corner]
@@ -82,7 +82,7 @@ def test_outward_is_gradient_of_size(dim):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_mean_extent_is_size(dim):
-    teams = Teams(np.random.default_rng(0).normal(size=(5, 7, dim)), 0.1)
+    teams = Batch(np.random.default_rng(0).normal(size=(5, 7, dim)), 0.1)
     mean = extents(teams.positions, teams.active, directions(dim, 4000)).mean(axis=-1)
     np.testing.assert_allclose(mean * 2 * np.pi * (dim - 1), teams.size(), rtol=1e-3)
 
@@ -147,7 +147,7 @@ def test_environment_trajectories_match_integrator(dim, error, laws):
     scenario = Scenario(**TEAM, dim=dim, graph=graph, time_step=0.002, sensing=sensing)
     simulator = Simulator(scenario, 20)
     observations = simulator.reset(3)
-    teams = Teams(simulator.positions, 0.2)
+    teams = Batch(simulator.positions, 0.2)
     step, compared = scenario.tau, 0
     for _ in run(simulator, policy(scenario), observations):
         whole = teams.active.all(axis=-1) & (teams.left > 1)
@@ -165,9 +165,9 @@ def test_environment_rendezvous_time_matches_integrator():
     scenario = Scenario(**TEAM, time_step=0.005, sensing=Sensing(error=0.3))
     found = rollout(scenario, baselines.make("bearing-only", scenario), 4, num_envs=30)
     law, _ = law_1(0.3)
-    teams = Teams(found.positions[0], 0.2)
+    teams = Batch(found.positions[0], 0.2)
     times, _ = integrate(
-        Trial(teams, lambda teams: law(teams, None) / 1.5, 0.005, np.full(30, 60.0))
+        ContinuousTrial(teams, lambda teams: law(teams, None) / 1.5, 0.005, np.full(30, 60.0))
     )
     # a robot that merges rests for what is left of the step
     np.testing.assert_allclose(found.rendezvous_time, times, atol=0.05)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adversarial_graphs import Attention, draw_teams, draw_weights
 from claims import CLAIMS, check, main
-from continuous_time import Teams
+from continuous_time import Batch
 from continuous_time_laws import away, followed, into_cone, turned
 from parameters import marked
 from scipy.optimize import nnls
@@ -208,7 +208,7 @@ def test_attention_covers_all_kinds(batch):
 
 def test_weights_of_merged_robot_add_up():
     random = np.random.default_rng(0)
-    teams = Teams(random.normal(size=(BATCH, 3, 2)), 0.01)
+    teams = Batch(random.normal(size=(BATCH, 3, 2)), 0.01)
     teams.active[0, 1], teams.active[1, 1:] = False, False
     shares = Attention(teams, random)(teams, teams.look())
     assert shares[0, 0].tolist() == [0, 0, 1] and not shares[0, 1].any()
@@ -232,7 +232,7 @@ def test_bearings_have_maximum_age():
     """The bearing of a passing robot reveals its delay."""
     random = np.random.default_rng(3)
     places = random.uniform(-50.0, 50.0, (BATCH, 3, 2))  # so that nobody meets
-    teams = Teams(places, 0.2, draw_weights(random, 3))
+    teams = Batch(places, 0.2, draw_weights(random, 3))
     seen, step = delay_claims._stale(teams, random, law_4=False)
     velocities = np.zeros_like(teams.positions)
     velocities[:, 0, 0] = 0.1

@@ -185,7 +185,8 @@ def test_interrupted_search_resumes(tmp_path):
 def test_device_bench_writes_rates(tmp_path):
     pytest.importorskip("jax")
     out = tmp_path / "device.json"
-    run_python(ROOT, ROOT / "research" / "device_bench.py", "--small", "--out", out)
+    words = "--small", "--skip-ppo", "--out", out
+    run_python(ROOT, ROOT / "research" / "device_bench.py", *words)
     told = json.loads(out.read_text(encoding="utf-8"))
     assert told["device"]["platform"] == "cpu" and told["rates"].keys() == {"64"}
     measured = [told["rates"]["64"]["jax"], *(told["alternating"][k] for k in ("jax", "make_vec"))]
@@ -193,4 +194,21 @@ def test_device_bench_writes_rates(tmp_path):
         low, high = rates["quartiles"]
         assert 0.0 < low <= rates["steps_per_s"] <= high and rates["calls"] >= 3
         assert rates["steps_per_call"] == 6400
-    assert len(told["ppo"]["all"]) == 3 and told["ppo"]["robot_steps_per_s"] > 0.0
+
+
+@pytest.mark.slow
+def test_device_bench_reads_rates_of_the_example(monkeypatch):
+    pytest.importorskip("jax")
+    import device_bench
+
+    said = "".join(f"update {k}, {k},500 robot steps/s: 1 % met\n" for k in (2, 4, 6))
+    asked = []
+
+    def answer(words, **_):
+        asked.extend(words)
+        return subprocess.CompletedProcess(words, 0, said)
+
+    monkeypatch.setattr(subprocess, "run", answer)
+    told = device_bench.ppo(envs=8, updates=2, steps=4)
+    assert told["all"] == [2500.0, 4500.0, 6500.0] and told["robot_steps_per_s"] == 6500.0
+    assert " ".join(asked[2:]) == "--held-out 16 --envs 8 --steps 4 --updates 6 --report 2"

@@ -73,28 +73,28 @@ def test_certificate_is_granted(scenario, margin, finite, words):
 @pytest.mark.parametrize(
     ("by", "scenario", "words"),
     [
-        ("law", Scenario(obstacles=WALL), "obstacles can hold a robot back"),
+        ("law", Scenario(obstacles=WALL), "an obstacle can block a robot"),
         ("heading", Scenario(obstacles=WALL), "certified headings V still never rises"),
-        ("gains", Scenario(obstacles=WALL), "nothing is proven of gains"),
-        ("links", Scenario(obstacles=WALL), "obstacles turn robots aside"),
-        ("law", LONG, "for law .1. as it stands"),
-        ("law", SPARSE.replace(time_step=SPARSE.tau, allow_long_step=True), "for law .1. as it"),
+        ("gains", Scenario(obstacles=WALL), "no theorem covers gains with obstacles"),
+        ("links", Scenario(obstacles=WALL), "obstacles deflect robots"),
+        ("law", LONG, "for unscaled law .1.: the step"),
+        ("law", SPARSE.replace(time_step=SPARSE.tau, allow_long_step=True), "for unscaled law .1."),
         ("law", PIECES, "the graph is not connected"),
         ("links", PURSUIT, ".*has no theorem on directed graphs"),
         ("links", SWITCHING, ".*has no theorem on switching graphs"),
-        ("heading", BEHIND, "can be out of sight"),
-        ("tank", BEHIND, "can be out of sight"),
-        ("gains", BEHIND.replace(graph="path"), "can be out of sight"),
-        ("gains", Scenario(sensing=Sensing(range=3.0)), "can be out of sight"),
-        ("gains", Scenario(sensing=Sensing(dropout=0.1)), "can be out of sight"),
+        ("heading", BEHIND, "can be invisible"),
+        ("tank", BEHIND, "can be invisible"),
+        ("gains", BEHIND.replace(graph="path"), "can be invisible"),
+        ("gains", Scenario(sensing=Sensing(range=3.0)), "can be invisible"),
+        ("gains", Scenario(sensing=Sensing(dropout=0.1)), "can be invisible"),
         ("links", Scenario(sensing=Sensing(field_of_view=3.0)), "field_of_view is 3 rad"),
         ("links", BEHIND, "occlusion is 'robots'"),
         ("links", Scenario(sensing=Sensing(dropout=0.2)), "dropout is 0.2"),
-        ("links", NEAR.replace(require_connected=False), ".*others are given or may be drawn"),
-        ("law", NEAR, ".*lose sight of each other"),
-        ("law", PURSUIT.replace(**LONG_STEP, max_speed=0.1), ".*beyond its"),
-        ("gains", NEAR, ".*lose sight of each other"),
-        ("law", Scenario(meeting="pack", body_radius=0.05), "theorems end with one robot left"),
+        ("links", NEAR.replace(require_connected=False), ".*others are given or may be sampled"),
+        ("law", NEAR, ".*lose each other permanently"),
+        ("law", PURSUIT.replace(**LONG_STEP, max_speed=0.1), ".*overshoot its"),
+        ("gains", NEAR, ".*lose each other permanently"),
+        ("law", Scenario(meeting="pack", body_radius=0.05), "theorems are about merging"),
         *[(by, APART, ".*need not connect") for by in CHOICES],
         *[
             (by, Scenario(**changes), words)
@@ -102,7 +102,7 @@ def test_certificate_is_granted(scenario, margin, finite, words):
             for changes, words in (
                 ({"robot_model": "unicycle"}, ".*whose action is their velocity"),
                 ({"robot_model": "double_integrator"}, "no theorem covers double_integrator"),
-                ({"sensing": Sensing(delay=2)}, ".*late"),
+                ({"sensing": Sensing(delay=2)}, ".*delayed"),
                 ({"sensing": Sensing(noise=0.1)}, ".*noise = 0.1"),
             )
         ],
@@ -132,7 +132,7 @@ def test_message_about_a_long_step_rounds_the_certified_step_down():
 def test_tank_bounds_v_without_time_bound():
     v0, w = 20 * 10 * math.sqrt(2), 10
     for scenario, places, words in (
-        (Scenario(robot_model="unicycle"), 2, "no time by which unicycle robots"),
+        (Scenario(robot_model="unicycle"), 2, "no time bound is proven for unicycle robots"),
         (Scenario(obstacles=WALL), 3, "theorem D still keeps V bounded"),
     ):
         found = certificate(scenario, 0.5, by="tank", budget=3.0)
@@ -186,7 +186,7 @@ def test_directed_graphs_exclude_law_4_and_tank(scenario, by):
     instead = "links" if scenario is NEAR else "gains"
     assert found.theorem.endswith(f'by="{instead}" has one')
     assert certificate(scenario, by=instead).guaranteed
-    assert ("grow without end" in found.theorem) == (scenario is SWITCHING)
+    assert ("three robots diverge" in found.theorem) == (scenario is SWITCHING)
 
 
 def test_cyclic_pursuit_is_covered_by_g_and_n():
@@ -209,7 +209,7 @@ def test_switching_graphs_are_covered():
         assert found.hull_bound == close(16 + 3 * 2 * math.pi * 0.2)
     pieces = graphs.switching([graphs.from_edges([(0, 1), (2, 3)]), "path"])
     found = certificate(SWITCHING.replace(graph=pieces), by="gains")
-    assert not found.guaranteed and "[0, 1] and [2, 3] see nobody outside" in found.theorem
+    assert not found.guaranteed and "[0, 1] and [2, 3] observe no robot outside" in found.theorem
     assert "at some time" in found.theorem and found.hull_bound > 16
 
 
@@ -295,7 +295,7 @@ def test_errors_above_right_angle_are_refused(sensing, error, by, dim):
     assert not found.guaranteed and math.isinf(found.time_bound)
     assert found.bearing_error == close(error)
     if by in ("heading", "tank", "links"):
-        assert not found.promises and "no wrapper can be told" in found.theorem
+        assert not found.promises and "wrappers accept at most" in found.theorem
         assert certificate(team.replace(sensing=Sensing(error=1.5)), MARGINS[by], by=by).promises
 
 
@@ -310,10 +310,10 @@ def test_small_delays_are_certified(delay):
     law = rollout(young, baselines.make("bearing-only", young), 0, num_envs=8)
     assert (law.rendezvous_time <= found.time_bound).all()
     old = certificate(team)
-    assert not old.guaranteed and "no more than r/(2D̄)" in old.theorem
+    assert not old.guaranteed and "at most r/(2D̄)" in old.theorem
     assert not certificate(young.replace(sensing=Sensing(delay=delay, dropout=0.1))).guaranteed
     for by in ("heading", "tank", "gains", "links"):
-        assert "late" in certificate(young, MARGINS[by], by=by).theorem
+        assert "delayed" in certificate(young, MARGINS[by], by=by).theorem
 
 
 @pytest.mark.parametrize(
@@ -363,16 +363,16 @@ def test_v_bound_beside_obstacles_excludes_contacts():
         env.step([[[-y, x], [y, -x]]])
     found = certificate(scenario, 0.3)
     assert simulator.lyapunov()[0] > found.lyapunov_bound
-    assert found.touches_obstacles and "m²/s in motion without a contact\n" in str(found)
+    assert found.contact_possible and "m²/s in motion without contact\n" in str(found)
     through = certificate(scenario.replace(obstacle_contact="ignore"), 0.3)
-    assert not through.touches_obstacles and "without a contact" not in str(through)
+    assert not through.contact_possible and "without contact" not in str(through)
 
 
 def test_mean_time_under_noise_is_reported():
     found = certificate(Scenario(sensing=Sensing(noise=0.1)))
     said = re.search("mean time to rendezvous never exceeds (.+) s", str(found))
     assert 1.001 * found.expected_time_bound > float(said[1]) >= found.expected_time_bound
-    assert "No other number" not in str(found)
+    assert "There are no other" not in str(found)
 
 
 def test_printed_bounds_are_conservative():
@@ -392,6 +392,7 @@ def test_old_field_names_warn():
     for old, new in (
         ("held_time_bound", "time_bound"),
         ("bearing_error_borne", "tolerated_bearing_error"),
+        ("touches_obstacles", "contact_possible"),
         ("continuous_time", "continuous_time_only"),
     ):
         with pytest.warns(DeprecationWarning, match=new):

@@ -73,7 +73,7 @@ def test_equal_gains_tolerate_errors_and_sampling():
     assert wrong.hull_bound == close(extent + strayed)
     for changes, words in (
         ({"bearing_error": 0.52}, "tolerate less than 0.50"),
-        ({"max_gain": 2.0, "bearing_error": 0.1}, "gains that add up to the same"),
+        ({"max_gain": 2.0, "bearing_error": 0.1}, "equal sums of gains"),
     ):
         refused = certificate(team, **{**even, **changes})
         assert not refused.guaranteed and words in refused.theorem
@@ -180,7 +180,7 @@ def test_links_are_certified_by_theorem_r():
     wrong = certificate(team, by="links", share=0.25, bearing_error=math.pi / 20)
     assert wrong.time_bound - late == close(4 * (found.time_bound - late))
     refused = certificate(team, by="links", bearing_error=math.pi / 10)
-    assert not refused.guaranteed and "longer between merges even so" in refused.theorem
+    assert not refused.guaranteed and "grows between merges even so" in refused.theorem
     assert [*refused.promises] == ["lyapunov", "link_growth"]
 
 

@@ -88,7 +88,7 @@ def test_disturbance_beyond_the_threshold_is_refused_and_keeps_robots_apart():
 @pytest.mark.parametrize(
     ("events", "words"),
     [
-        ({"n_adversarial": 1}, "adversarial robot can flee"),
+        ({"n_adversarial": 1}, "adversarial robot can escape"),
         ({"disturbance_noise": 0.1}, "Gaussian disturbance has no bound"),
         ({"slip": 1.0}, "slip = 1"),
         ({"disturbance": 0.1, "n_blind": 1}, "drifts with the disturbance"),

@@ -147,9 +147,9 @@ ONE_WAY = graphs.directed_cycle()
                 ({"occlusion": "obstacles"}, "occlusion is 'obstacles'"),
             )
         ),
-        (LinkKeeping, {"graph": ONE_WAY}, {}, "graph is a directed one; theorem R needs"),
+        (LinkKeeping, {"graph": ONE_WAY}, {}, "graph is directed; theorem R needs"),
         (LinkKeeping, {"graph": graphs.switching([ONE_WAY, "path"])}, {},
-         "graph is a switching one; theorem R needs"),
+         "graph is switching; theorem R needs"),
         (HeadingFilter, {}, {"certified": False, "bearing_error": 0.1},
          r"bearing_error is 0\.1; it must be 0 with certified=False"),
         (Gains, {}, {"min_gain": 0.0}, "min_gain is 0.0; it must be a positive"),

@@ -88,7 +88,7 @@ def test_certificate_of_gains_per_robot_is_that_of_the_extreme_limits():
     assert even == certificate(scenario, by="gains", min_gain=0.5, max_gain=0.5)
     uneven = {"min_gain": [0.5, 1.0, 1.0, 1.0], "max_gain": [0.5, 1.0, 1.0, 1.0]}
     erring = certificate(scenario, by="gains", bearing_error=0.01, **uneven)
-    assert not erring.guaranteed and "theorem N needs gains that add up" in erring.theorem
+    assert not erring.guaranteed and "theorem N needs equal sums of gains" in erring.theorem
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_certificate_grants_mean_time_of_detection_by_chance(sensing, bounded, g
 def test_certificate_names_what_hides_neighbours_for_ever(sensing):
     found = certificate(Scenario(sensing=Sensing(dropout=0.4, **sensing)))
     assert math.isinf(found.expected_time_bound)
-    assert f"{next(iter(sensing))} can hide a neighbour for ever" in found.theorem
+    assert f"{next(iter(sensing))} can hide a neighbour permanently" in found.theorem
 
 
 def unit_bearings(places):

@@ -1,4 +1,4 @@
-"""Theorem E3: law (1) where robots have clocks of their own."""
+"""Theorem E3: law (1) where robots have activation is asynchronous."""
 
 import math
 
@@ -83,7 +83,7 @@ def test_random_activation_has_a_mean_time_and_no_longest_one():
 def test_filters_that_count_on_every_step_are_refused(by, hold):
     found = rv.certificate(bounded(2, hold), by=by)
     assert not found.guaranteed and not found.promises
-    assert "clocks of their own" in found.theorem and "max_wait = 2" in found.theorem
+    assert "activation is asynchronous" in found.theorem and "max_wait = 2" in found.theorem
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ TWO_PAIRS = Scenario(
 )  # fmt: skip
 ALMOST = math.pi / 8.0 * (1.0 - 1e-9)
 UNICYCLES = Scenario(n_robots=2, robot_model="unicycle", start_positions=((1.0, 1.0), (2.0, 1.0)))
-TAKEN = "none: .* which rounding takes from"
+TAKEN = "none: .* below the rounding error of"
 SMALLER = "the world or errors smaller"
 
 
@@ -73,7 +73,7 @@ SMALLER = "the world or errors smaller"
          {"by": "links", "share": 1.0}, "tolerate less", {"sensing": Sensing(error=ALMOST - 1e-6)}),
         # turns of 1e-16 rad in a step, and steps of robots that turn
         (UNICYCLES.replace(time_step=1e-7, max_turn_rate=1e-9), {"min_alignment": 0.3},
-         "rounding takes from their angles", {"max_turn_rate": None}),
+         "below the rounding error of their angles", {"max_turn_rate": None}),
         (UNICYCLES.replace(time_step=1e-7, graph=graphs.complete(1e-6)), {"min_alignment": 0.3},
          TAKEN, {"graph": "complete"}),
         # 2⁻⁵⁹ of 5 m
@@ -185,7 +185,7 @@ def test_rounding_fills_tanks():
     env.decision_period = 75
     env.step([[[-0.05, 0.0], [0.05, 0.0]]])
     assert simulator.lyapunov()[0] > 2e-5 + 2e-6  # V(0) + 2 r W
-    assert not found.promises and "rounding takes" in found.theorem
+    assert not found.promises and "rounding error" in found.theorem
 
 
 @pytest.mark.parametrize("granted", [False, True])

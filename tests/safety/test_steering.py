@@ -15,7 +15,7 @@ from rendezvous_env.robots.robot_models import ROBOT_MODELS
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.trajectory import run
 from train.verify.adversaries import Adversary
-from train.verify.monitors import Moment
+from train.verify.monitors import BatchMoment
 
 TEAMS = 48
 ROUNDING = 2.0**-20
@@ -40,7 +40,7 @@ def test_v_never_increases_beside_obstacles_unless_sliding(name, contact):
     steering, simulator = HeadingFilter(scenario, TEAMS, frame="local"), Simulator(scenario, TEAMS)
 
     def policy(seen, time):
-        steering.hold(adversary(seen, Moment(simulator)))
+        steering.hold(adversary(seen, BatchMoment(simulator)))
         return steering.apply(seen)
 
     most, contacts = scenario.tau * scenario.n_robots * scenario.max_degree**2, 0

@@ -160,7 +160,7 @@ def test_weights_of_a_reset_come_as_those_of_a_scenario_do():
         (nx.path_graph(5), r"its matrix or edge list is for 5 robots, not for 4"),
         (nx.Graph([(0, 1), (1, 1), (2, 3)]), r"edge \(1, 1\) must join two different robots"),
         (nx.MultiGraph([(0, 1), (1, 0), (1, 2), (2, 3)]), r"edge \(0, 1\) must join .* once"),
-        (letters(("a", "b"), ("c", "d")), r"falls into \[0, 1\] and \[2, 3\]"),
+        (letters(("a", "b"), ("c", "d")), r"components \[0, 1\] and \[2, 3\]"),
         ([(0, 1), (1, 2), (2, 9)], r"edge \(2, 9\) must join two different robots of 0\.\.3"),
         ([(0, 1), (1, 2), (2, 3, -1.0)], r"edge \(2, 3\) has weight -1\.0; it must be positive"),
         ([[1, 1, 0], [1, 1, 1], [0, 1, 1]], r"edge \(1, 1\)|a\[0, 0\] = 1\.0 must be 0"),

@@ -390,7 +390,7 @@ class TestStartRegion:
             ),
             (
                 {"start_region": [[(0, 0), (1, 0), (0, 1)]], "dim": 3},
-                "start_region: polygons are of the plane; it must be None where dim is 3",
+                "start_region: polygons are 2-D; it must be None where dim is 3",
             ),
         ],
     )

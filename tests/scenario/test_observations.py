@@ -133,7 +133,7 @@ def test_split_returns_views_and_checks_shape():
     for call, given, said in (
         (layout.split, table[:, :10], r"shape \(2, 10, 3\); this layout needs \(\.\.\., 11, 3\)"),
         (layout.split, flat[:, 1:], "this layout needs"),
-        (layout.net_bearing, flat, "``unflattened`` makes these of flat ones"),
+        (layout.net_bearing, flat, "``unflattened`` converts flat ones"),
     ):
         with pytest.raises(ValueError, match=said):
             call(given)

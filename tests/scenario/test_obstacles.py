@@ -113,7 +113,7 @@ class TestPacking:
         assert (row_width(FIELD), max_count(FIELD)) == (6, 5)
 
     def test_missing_slots_are_rejected(self):
-        with pytest.raises(ValueError, match="2 given, but the scenario has room for 1; set its"):
+        with pytest.raises(ValueError, match="2 given, but the scenario has 1 obstacle slots; set"):
             pack([Disc((0, 0), 1)] * 2, 1)
         with pytest.raises(ValueError, match=r"obstacles\[0\] is .*a polygon of no more corners"):
             pack([Polygon(TRIANGLE)], 1, width=8)

@@ -99,7 +99,7 @@ def test_failing_family_changes_nothing():
     graphs.family("moody", lambda n, random: [(i, i + 1) for i in range(n - 1)])
     simulator = started(FAMILY.replace(graph="moody"), 2, seed=5)
     graphs.family("moody", lambda n, random: [])
-    with refusing(simulator, "'moody' drew a graph that is not connected"):
+    with refusing(simulator, "'moody' returned a graph that is not connected"):
         simulator.reset(9)
 
 
@@ -211,14 +211,14 @@ def seen_by(imperfection):
         (lambda: FAMILY.replace(graph="hexagon-and-chord"), "did you mean 'hexagon-and-chords'"),
         (lambda: graphs.family("mine", 5), "family of graphs 'mine' is 5; it must be a function"),
         (lambda: graphs.family("")(ring_with_chords), "name of a family of graphs is ''"),
-        (lambda: family_of(lambda n, random: [(0, 1)]), "'bad' drew .* not connected: it falls in"),
-        (lambda: family_of(lambda n, random: [(0, n)]), r"'bad' drew for 6 robots: .*\(0, 6\)"),
+        (lambda: family_of(lambda n, random: [(0, 1)]), "'bad' returned .* connected: comp"),
+        (lambda: family_of(lambda n, random: [(0, n)]), r"'bad' for 6 robots: .*\(0, 6\)"),
         (lambda: family_of(lambda n, random: 5), "graph: edges is 5; it must be a sequence"),
-        (lambda: family_of(lambda n, random: [(0, 1, 2.0)]), "weights are drawn from"),
+        (lambda: family_of(lambda n, random: [(0, 1, 2.0)]), "weights come from"),
         (lambda: Registry("family", "rv.f")["x"], r"'x' is not registered here; import .* rv\.f"),
         (
             lambda: seen_by(lambda seen: setattr(seen, "neighbours", 0.0 * seen.neighbours)),
-            "'mine' put another array into seen; change wh",
+            "'mine' replaced an array of its argument; change wh",
         ),
         (lambda: stepped("reward", lambda step: np.zeros(7)), r"term 'mine' .*\(7,\); .*\(1,\)"),
         (lambda: stepped("reward", lambda step: np.inf + step.time), "term 'mine' .*finite"),

@@ -13,7 +13,7 @@ from conftest import UNEQUAL
 
 import rendezvous_env as rv
 from rendezvous_env import Polygon, RewardWeights, Scenario, TimeStepWarning, graphs, scenarios
-from rendezvous_env.first_starts import digest
+from rendezvous_env.first_initial_conditions import digest
 from rendezvous_env.scenario.scenarios import digests, versioned
 from train.compare.settings import DEFAULT_SCENARIOS
 

@@ -81,14 +81,14 @@ REFUSED = [
     ({"start_positions": ROW[:4]}, r"start_positions have shape \(4, 2\); .* \(5, 2\)"),
     ({"start_positions": [*ROW[:4], [math.inf, 0]]},
         r"start_positions of robot_4 is \[inf, 0\.0\]; it must be finite, and from -1e\+09"),
-    ({"start_positions": [[1.0, 2.0]] * 5}, r"robot_0 and robot_1 both stand at \[1\.0, 2\.0\]"),
+    ({"start_positions": [[1.0, 2.0]] * 5}, r"robot_0 and robot_1 are both at \[1\.0, 2\.0\]"),
     ({"start_positions": ROW, "obstacles": [Disc((2.0, 0.3), 0.4)]},
         r"start_positions: robot.2 at \[2\.0, 0\.0\].*inside Disc"),
     ({"start_positions": [[HUGE, 0]] * 5}, r"start_positions is \[\[.*; it must be numbers"),
     ({"start_positions": [[1, 2], [3]]}, r"start_positions is \[\[1, 2\], \[3\]\]; .*without gaps"),
     ({"start_headings": [[0.0]] * 5}, r"start_headings have shape \(5, 1\); .* \(5, 0\)"),
     ({"time_limit": 1e9, "time_step": 1e-9}, r"time_limit is 1e\+09 s: 1e\+18 steps of 1e-09 s"),
-    ({"graph": "directed"}, r"graph: 'directed' needs more than its name, as rend"),
+    ({"graph": "directed"}, r"graph: 'directed' needs "),
     ({"graph": "ring"}, r"graph is 'ring'; it must be one of 'complete', 'path', .*'cycle'\?"),
     ({"graph": []}, r"graph: weights have shape \(0,\); .* \(n, n\) = \(2, 2\)"),
     ({"graph": matrix(a01=1.0)}, r"graph: weight a\[0, 1\] = 1\.0 must equal its mirror image"),
@@ -99,17 +99,17 @@ REFUSED = [
     ({"graph": UNEQUAL, "n_robots": 4},
         r"graph: its matrix or edge list is for 5 robots, not for 4"),
     ({"graph": g.from_edges([(0, 3), (1, 2)], 5)},
-        r"not connected: it falls into \[0, 3\] and \[1, 2\] and \[4\].*require_connected"),
+        r"not connected: components \[0, 3\] and \[1, 2\] and \[4\].*require_connected"),
     ({"graph": np.zeros((5, 5)), "require_connected": False}, r"time_step is None; .* no edge"),
     ({"graph": g.directed([(0, 1), (0, 2)]), "n_robots": 3},
-        r"\[\d\] and \[\d\] each see nobody outside"),
+        r"\[\d\] and \[\d\] observe no robot outside"),
     ({"graph": g.switching([g.from_edges([(0, 1)], 5)])}, "not connected"),
     ({"graph": g.switching(["path"], 0.01)}, r"dwell is 0\.01 s, shorter than the time"),
     ({"graph": g.switching([1 - np.eye(2)])}, "is for 2 robots, not for 5"),
     ({"graph": "proximity"}, "give sensing a range or a field_of_view"),
     ({"graph": "proximity", "sensing": rv.Sensing(range=0.6)}, r"range is 0\.6; .* = 0\.2 m"),
     ({"graph": g.directed([(1, 0)]), "n_robots": 2, "start_positions": ((0, 0), (0, 0))},
-        "neighbours robot_0 and robot_1 both stand at"),
+        "neighbours robot_0 and robot_1 are both at"),
     ({"graph": DEEP}, r"graph is \[\[\[\[\[\[\.\.\.\]\]\]\]\]\]"),
     ({"graph": {"kind": ["path"]}}, r"graph is \['path'\]; it must be one of 'complete'"),
     ({"graph": {"kind": "path", "weight_range": 5.0j}}, "graph: weight_range is 5j; .* finite num"),
@@ -197,8 +197,8 @@ def test_unknown_argument_of_a_function_names_the_closest_one(call, given, messa
         (lambda: Polygon((1, 2, 3)), r"Polygon\.vertices\[0\] is 1; it must be 2 finite"),
         (lambda: Polygon(((0, 0), (3, 0), (0, 3), (0, 0))), r"vertices\[3\] .* repeats another"),
         (lambda: Polygon(((0, 0), (1, 0), (2, 1e-7))), "degenerate"),
-        (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "cross over; list them in order"),
-        (lambda: Polygon(((3, 0), (-2, 2), (1, -3), (1, 3), (-2, -2))), "cross over"),  # a star
+        (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "cross; list them in order"),
+        (lambda: Polygon(((3, 0), (-2, 2), (1, -3), (1, 3), (-2, -2))), "cross; "),  # a star
         (lambda: ObstacleField(-1, (1, 2), 9, 1), r"ObstacleField\.count is -1; it must be"),
         (lambda: ObstacleField((5, 2), (1, 2), 9, 1), "count is .* low <= high"),
         (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count is 1000000000; .* <= 10000"),
@@ -216,7 +216,7 @@ def test_unknown_argument_of_a_function_names_the_closest_one(call, given, messa
         (lambda: replace(WALLS, keep_out=math.nan), "keep_out is nan; it must be"),
         (lambda: replace(WALLS, layout="rooms", size=(3, 5)), r"\(3.0, 5.0\); .* at least 4.5 m"),
         (lambda: parse(WALLS, 3), "obstacles is WallField.*an ObstacleField in 3-D"),
-        (lambda: parse([WALLS], 2), "stands alone, not in a list"),
+        (lambda: parse([WALLS], 2), "must be given alone, not in a list"),
         (lambda: parse({"layout": "trap", "size": [3, 5]}, 2), "a walls needs opening"),
         (lambda: g.path("a"), "weight_range is 'a'"),
         *[
@@ -249,7 +249,7 @@ def test_unknown_argument_of_a_function_names_the_closest_one(call, given, messa
         (lambda: g.switching([g.random_tree()]), r"graphs\[0\] is 'random_tree'"),
         (lambda: g.switching(["path"], 0.0), "dwell is 0.0; it must be a positive"),
         (lambda: g.switching(["path"], order="back"), "order is 'back'; .*'cyclic', 'random'"),
-        (lambda: g.Graph("switching", 2.0, graphs=["path"]), "has the weights of its list"),
+        (lambda: g.Graph("switching", 2.0, graphs=["path"]), "has only the weights of its list"),
         (lambda: g.parse({"kind": "switching", "weight_range": 1}), "no key 'weight_range'"),
         (lambda: g.switching([{"kind": "switching"}]), "is itself a switching graph"),
         (lambda: g.parse({"kind": "proximity", "dwell": 1.0}), "graph has no key 'dwell'"),
@@ -338,8 +338,8 @@ def test_toml_of_wrong_type_is_rejected(text, message, tmp_path):
 def test_impossible_names_and_paths_are_rejected(tmp_path):
     long, nul = str(tmp_path / ("x" * 300 + ".toml")), str(tmp_path / "a\0b.toml")
     for call in (Scenario.from_toml, Scenario().to_toml, rv.parallel_env, scenarios.resolve):
-        assert "it is too long for a file" in refusal(call, long)
-        assert "no file can be called that" in refusal(call, nul)
+        assert "it is too long for a path" in refusal(call, long)
+        assert "it is not a valid path" in refusal(call, nul)
     assert list(tmp_path.iterdir()) == []
     for name in ("x" * 300, "a\0b", "", "fig33"):
         assert re.search(r"scenario '.*' is unknown; .*known are", refusal(scenarios.get, name))

@@ -44,11 +44,11 @@ def test_step_output_of_other_environment_is_rejected(other):
     with refusing(sim, r"outcome: .+ a step of these"):
         sim.restart(np.ones(TEAMS, bool), outcome)
     for wrong in (5, "five", (1, 2)):
-        with refusing(sim, r"outcome is .*; it must be what step"):
+        with refusing(sim, r"outcome is .*; it must be the output of step"):
             sim.restart(np.ones(TEAMS, bool), wrong)
     own = sim.step(np.zeros(actions_shape(sim)))
     own.observations.flags.writeable = False
-    with pytest.raises(ValueError, match="can be written to"):
+    with pytest.raises(ValueError, match="contiguous and writable"):
         sim.restart(np.ones(TEAMS, bool), own)
 
 
@@ -110,7 +110,7 @@ def test_heading_rules_reject_inconsistent_shapes():
     for rule in (
         obstacle_avoidance.tangent_heading,
         obstacle_avoidance.tangent_blocking_heading,
-        obstacle_avoidance.tangent_joined_heading,
+        obstacle_avoidance.tangent_merged_heading,
     ):
         assert rule(f, points).shape == f.shape
         for bearing, silhouettes, message in (

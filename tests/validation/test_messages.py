@@ -195,9 +195,9 @@ WRONG_OPTIONS = [
     ({"adjacency": 1}, "options: 'adjacency' is not an option; did you mean 'weights'"),
     (
         {"speed_limit": 1},
-        "options: 'speed_limit' is of the scenario.* environment with max_speed=…",
+        "options: 'speed_limit' is a field of the scenario.* environment with max_speed=…",
     ),
-    ({"n_robot": 3}, "options: 'n_robot' is of the scenario.* environment with n_robots=…"),
+    ({"n_robot": 3}, "options: 'n_robot' is a field of the scenario.* environment with n_robots=…"),
     ({"positions": [[HUGE, 0], [0, 0]]}, "positions is .* numbers"),
     ({"positions": DEEP}, "positions is"),
     ({"frames": np.full((2, 2, 2), 1e300)}, "frames of robot_0 is"),
@@ -228,11 +228,11 @@ CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
             (name, {field: value}, rf"{field} is .*; it must")
             for value in (math.nan, math.inf, -1, "1", None, [1], HUGE, True, np.ones(2))
             for name, field in (
-                ("tangent-joined", "clearance"),
-                ("tangent-joined-tuned", "clearance"),
-                ("tangent-joined-tuned", "persistence"),
-                ("tank-joined", "budget"),
-                ("tank-joined", "patience"),
+                ("tangent-merged", "clearance"),
+                ("tangent-merged-tuned", "clearance"),
+                ("tangent-merged-tuned", "persistence"),
+                ("tank-merged", "budget"),
+                ("tank-merged", "patience"),
                 ("tangent-certified", "min_alignment"),
                 ("tangent-blocking-certified", "max_turn_rate"),
                 ("random", "seed"),
@@ -240,7 +240,7 @@ CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
             if not (field == "seed" and value is HUGE)
             if not (field in ("persistence", "budget", "patience") and value is None)
         ],
-        ("tangent-joined-tuned", {"min_alignment": 1e-9}, "min_alignment is 1e-09; .*least 1e-06"),
+        ("tangent-merged-tuned", {"min_alignment": 1e-9}, "min_alignment is 1e-09; .*least 1e-06"),
         (["zero"], {}, r"policy \['zero'\] is unknown; those that fit are"),
         (5, {}, "policy 5 is unknown"),
         (None, {}, "policy None is unknown"),

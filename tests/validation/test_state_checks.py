@@ -75,7 +75,7 @@ WRONG = [
     ("ring", "second", (0, 0), 0, "second[0, 0] is 0; it must be above the other robot"),
     ("ring", "first", (0, 3), 0, "in the order of the links, each once"),
     ("ring", "weights", (0, 3), 0.0, "it must be 0 after a 0"),
-    ("ring", "merged_into", (0, 1), 0, "it must be 0 for pairs with a merged-away robot"),
+    ("ring", "merged_into", (0, 1), 0, "it must be 0 for pairs with a merged robot"),
 ]
 
 

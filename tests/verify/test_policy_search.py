@@ -151,9 +151,9 @@ def test_search_takes_policies_and_scenarios_by_name(own, tmp_path):
         ({"scenario": "ring-12"}, "--scenario is ring-12; add --policy"),
         (
             {"policy": "bearing-only", "any": True},
-            "--policy is bearing-only; --random-scenarios asks for",
+            "--policy is bearing-only; --random-scenarios checks certificates",
         ),
-        ({"policy": "bearing-only", "claims": ("lemma-1",)}, "--policy tries no claims"),
+        ({"policy": "bearing-only", "claims": ("lemma-1",)}, "--policy checks no claims"),
         ({"policy": "no-such"}, "policy 'no-such' is unknown"),
         ({"policy": "bearing-only", "scenario": "unicycle-6"}, "bearing-only"),
     ],

@@ -12,7 +12,7 @@ import test_verify
 
 import rendezvous_env as rv
 from rendezvous_env.sensors.sensing import PER_ROBOT
-from train.verify import adversaries, falsification, random_scenarios, random_starts
+from train.verify import adversaries, falsification, random_initial_conditions, random_scenarios
 from train.verify.falsification import ask, climb, play, repeat, shrink, write
 from train.verify.random_scenarios import CHOICES, Kind, Trial, trials_of
 
@@ -205,7 +205,7 @@ def test_search_improves_initial_conditions(monkeypatch, tmp_path):
     time = max(play(trial()).ratio.values()) * ask(SQUARE, "law", {}).limits["time"]
     promising(monkeypatch, time=time + 0.05)
     assert play(trial()).violation is None
-    monkeypatch.setattr(random_starts, "STRIDES", (0.5, 1.0))
+    monkeypatch.setattr(random_initial_conditions, "STRIDES", (0.5, 1.0))
     better, played = climb(dataclasses.replace(trial(), generations=30))
     assert played.violation.number == "time" and better.scenario != SQUARE
     assert repeat(write(tmp_path, "found", better, played)).violation.number == "time"
@@ -278,9 +278,9 @@ def one_kind(monkeypatch):
 
 
 def test_no_violation_is_found(tmp_path, one_kind):
-    status, rows, printed = command(tmp_path, trials=60)
+    status, rows, printed = command(tmp_path, trials=30)
     assert status == 0 and printed.count("0 violations") == 1
-    assert sum(int(row["granted"]) for row in rows) > 500
+    assert sum(int(row["granted"]) for row in rows) > 250
     for row in rows:
         assert row["violations"] == "0"
         assert math.isnan(ratio := float(row["worst_time_over_bound"] or "nan")) or ratio <= 1.0
@@ -297,12 +297,12 @@ def test_violations_are_written_with_status_1(tmp_path, monkeypatch, one_kind):
 
 
 @pytest.mark.slow
-def test_thousands_of_random_scenarios_hold(tmp_path):
+def test_a_thousand_random_scenarios_hold(tmp_path):
     """More of them, of all kinds: ``rendezvous verify --random-scenarios``."""
-    status, rows, printed = command(tmp_path, trials=2_500, kinds=8, jobs=None)
+    status, rows, printed = command(tmp_path, trials=1_000, kinds=8, jobs=None)
     assert status == 0, printed
     granted = {row["theorem"]: int(row["granted"]) for row in rows}
-    assert sum(granted.values()) > 1800 and len(granted) > 30
+    assert sum(granted.values()) > 700 and len(granted) > 30
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from train.checks import UserError
 from train.results import read_csv
 from train.verify import claims, verify
 from train.verify.claims import BATCH, CLAIMS
-from train.verify.falsification import Played, Tally
+from train.verify.falsification import Tally, TrialResult
 
 NAMES = ("lemma-1", "theorem-2", "necessity")
 """Three tasks each."""
@@ -31,7 +31,7 @@ def nothing_is_played(monkeypatch):
     monkeypatch.setattr(claims, "check", check)
 
     def climb(trial):
-        return trial, Played(steps=trial.seed, counts=Counter([(f"{trial.by}: A", "granted")]))
+        return trial, TrialResult(steps=trial.seed, counts=Counter([(f"{trial.by}: A", "granted")]))
 
     monkeypatch.setattr(verify, "climb", climb)
 
@@ -132,8 +132,8 @@ def test_run_of_another_version_is_to_be_finished_with_that_version(changes, fie
         before.save("one", 1)
     after = resume.RunCheckpoint(tmp_path / "part", {**now, "seed": seed}, "test")
     message = (
-        f"an unfinished test of other {field}, begun with another version of rendezvous or of its "
-        "packages: finish it with that version, --overwrite to throw it away"
+        f"an unfinished test of other {field}, started with another version of rendezvous or of "
+        "its packages: finish it with that version, --overwrite to discard it"
     )
     with pytest.raises(UserError, match=message), after.at_work(tmp_path, Console(), fresh=False):
         pass

@@ -19,7 +19,7 @@ from train.verify import claims as cases
 from train.verify.adversaries import KINDS, Adversary
 from train.verify.claims import BATCH, CLAIMS, Claim, bound_a
 from train.verify.falsification import begin
-from train.verify.monitors import Moment
+from train.verify.monitors import BatchMoment
 from train.verify.random_scenarios import Trial
 from train.verify.verify import Config, run
 
@@ -89,7 +89,7 @@ def test_merges_raise_v_within_bound():
     teams, rises, excess = wrapped.unwrapped.simulator, [], []
     teams.set_max_steps(1500)
     while not teams.ended.all():
-        seen, *_ = wrapped.step(policy(seen, Moment(teams)))
+        seen, *_ = wrapped.step(policy(seen, BatchMoment(teams)))
         rises.append(wrapped.unwrapped.outcome.merge_rise.max())
         excess.append(wrapped.unwrapped.outcome.merge_excess.max())
     assert 0 < max(rises) < merge_rise_allowance(trial.scenario)

@@ -70,7 +70,7 @@ def check(config: Config) -> None:
     if others := sorted(set(config.only) - set(GROUPS)):
         raise unknown_name("--only: group", others[0], GROUPS)
     if not config.robots:
-        raise UserError("--robots names none; give sizes of teams, 2 or more")
+        raise UserError("--robots is empty; give numbers of robots, 2 or more")
     if (bearings := config.num_envs * max(config.robots) ** 2) > _MOST_BEARINGS:
         raise UserError(
             f"--num-envs times the square of --robots is {bearings}; it must be {_MOST_BEARINGS} "
@@ -140,7 +140,7 @@ def measure(compared: Sequence[Case], config: Config) -> list[Row]:
             rates[case.name].append(case.per_step * count / (clock() - begin))
     for case, each in zip(compared, running, strict=True):
         if not each.intact():
-            raise RuntimeError(f"{case.name}, n = {case.n_robots}: robots merged while timed")
+            raise RuntimeError(f"{case.name}, n = {case.n_robots}: robots merged while measured")
     return [_row(case, rates) for case in compared]
 
 

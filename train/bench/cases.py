@@ -57,10 +57,10 @@ class Case:
     group: str  # one of bench.GROUPS
     n_robots: int
     num_envs: int  # B, environments that step together
-    per_step: int  # what one step counts as, in ``unit``
-    unit: str  # "team steps", "decisions" of teams, or "samples"
+    per_step: int  # count of one step, in ``unit``
+    unit: str  # "team steps" (environment steps), "decisions", or "samples"
     build: Callable[[], Running]
-    against: str = ""  # the case, timed in turns with this one, that its rate is divided by
+    against: str = ""  # reference case, timed alternately, by whose rate this one is divided
 
 
 class Size(NamedTuple):
@@ -128,7 +128,7 @@ def batched(group: str, scenario: rv.Scenario, size: Size) -> list[Case]:
 
 def wrapped(n: int, size: Size) -> list[Case]:
     """Batched steps with random actions under a safety filter, relative to no filter."""
-    # robots that are steered go towards each other, unlike those of random actions
+    # filtered robots approach each other, unlike with random actions
     scenario = spread_out(n, spawn_size=1e6 * n)
 
     def build(wrap: Callable[[Any], Any]) -> Running:
@@ -185,7 +185,7 @@ def features(n: int, size: Size) -> list[Case]:
 
 
 def many_shapes(num_envs: int, slots: int | None, size: Size) -> list[Case]:
-    """Batched steps beside 2,000 boxes, relative to 20, with all rows or those of the nearest."""
+    """Batched steps with 2,000 boxes, relative to 20, with all rows or only the nearest."""
     own, chosen, rows = size._replace(num_envs=num_envs), {}, "all rows"
     if slots is not None:
         chosen = {"obstacle_slots": slots, "obstacle_overflow": "nearest"}
@@ -198,7 +198,7 @@ def many_shapes(num_envs: int, slots: int | None, size: Size) -> list[Case]:
 
 
 def _among_boxes(count: int, **fields: Any) -> rv.Scenario:
-    """Scenario with random boxes of one density, and robots that move among them without merges."""
+    """Scenario with random boxes of constant density, and robots that do not merge."""
     random, half = np.random.default_rng(0), 5.0 * math.sqrt(count / 20.0)
     boxes = []
     for _ in range(count):
@@ -269,7 +269,7 @@ def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
 
 
 def _vector(scenario: rv.Scenario, size: Size, max_cycles: int | None = None) -> Running:
-    """Environments of ``make_vec``; with ``max_cycles`` their episodes end one after another."""
+    """Environments of ``make_vec``; with ``max_cycles`` their episodes end at different steps."""
     venv = rv.make_vec(scenario, size.num_envs, num_threads=size.num_threads, max_cycles=max_cycles)
     running = stepping(venv)
     if max_cycles is not None:

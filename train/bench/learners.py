@@ -30,7 +30,7 @@ def _over(ours: str, scenario: rv.Scenario, size: Size, choices: dict[str, Any])
     def build() -> Running:
         make: Any = rv.make_vec if choices else training_env
         env = make(scenario, size.num_envs, num_threads=size.num_threads)
-        return Running(stepping(env).step)  # teams of clutter-8 meet and start again
+        return Running(stepping(env).step)  # environments of clutter-8 meet and are reset
 
     builds = {ours: build} | {
         f"{name} over {ours}": partial(make, scenario, size, choices)
@@ -44,10 +44,12 @@ def _torchrl(scenario: rv.Scenario, size: Size, choices: dict[str, Any]) -> Runn
     """A TorchRL step as in ``rollout`` and collectors, without policy and storage."""
     import torch
 
-    from rendezvous_env.adapters.torchrl import GROUP, RendezvousEnv
+    from rendezvous_env.adapters.torchrl import GROUP, RendezvousTorchRLEnv
 
-    env = RendezvousEnv(scenario, size.num_envs, num_threads=size.num_threads, seed=0, **choices)
-    tape, now = tape_of(env.teams.single_action_space, size.num_envs), [env.reset()]
+    env = RendezvousTorchRLEnv(
+        scenario, size.num_envs, num_threads=size.num_threads, seed=0, **choices
+    )
+    tape, now = tape_of(env.vector_env.single_action_space, size.num_envs), [env.reset()]
 
     def step() -> None:
         now[0].set((GROUP, "action"), torch.from_numpy(next(tape)))
@@ -72,7 +74,7 @@ def _pufferlib(scenario: rv.Scenario, size: Size, choices: dict[str, Any]) -> Ru
 
     env = make(scenario, size.num_envs, num_threads=size.num_threads, seed=0, **choices)
     env.reset()
-    tape = tape_of(env.slots.teams.single_action_space, size.num_envs)
+    tape = tape_of(env.slots.vector_env.single_action_space, size.num_envs)
     return Running(lambda: env.step(next(tape).reshape(env.actions.shape)))
 
 
@@ -99,13 +101,13 @@ def heading_ppo(size: Size) -> list[Case]:
 
         trainer = Trainer(config)
         if free:
-            trainer.model.set_env(_free(trainer.robots.teams))
+            trainer.model.set_env(_free(trainer.robots.vector_env))
         return learning(trainer.model)
 
     def build_theirs() -> Running:
         from stable_baselines3 import PPO
 
-        from ..learn.teams import make_environments
+        from ..learn.environments import make_environments
         from ..learn.trainer import SAME_NAME
 
         alike = {name: getattr(config, name) for name in SAME_NAME}

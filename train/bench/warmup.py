@@ -30,7 +30,7 @@ def run(config: Config) -> None:
     scenarios = [resolve_scenario(name) for name in config.scenarios or names()]
     for scenario in track(scenarios, "compiling", console=Console(stderr=True)):
         for name in baselines.names(scenario):
-            for teams in (1, TOGETHER):  # from five on other code computes them side by side
+            for teams in (1, TOGETHER):  # five or more use the SIMD code path
                 make_ready(Job(scenario, name), teams)
     verb = "is" if len(scenarios) == 1 else "are"
     print(f"{counted(len(scenarios), 'scenario')} {verb} ready")

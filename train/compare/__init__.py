@@ -10,7 +10,7 @@ _NAMES = ("Config", "Job", "Played", "plan", "play_job", "run", "summary")
 
 
 def __getattr__(name: str) -> Any:
-    """A name of the command, which lies in ``compare.compare``."""
+    """Import a name of the command from ``compare.compare``."""
     if name in _NAMES:
         return getattr(import_module(f"{__name__}.compare"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

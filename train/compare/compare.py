@@ -93,7 +93,7 @@ def run(config: Config) -> int:
 
 
 @dataclass(frozen=True)
-class Found:
+class ComparisonResult:
     """Results of a comparison."""
 
     played: list[Played]  # in the order of the jobs
@@ -113,7 +113,7 @@ class Found:
 
 def _play(
     config: Config, jobs: Sequence[Job], part: RunCheckpoint, console: Console
-) -> tuple[Found, float]:
+) -> tuple[ComparisonResult, float]:
     """Results, and the time that workers spent on compiling or loading kernels, s."""
     blocks = [blocks_of(number, job, config) for number, job in enumerate(jobs)]
     bounded = filter(upper_bound.applies, dict.fromkeys(job.scenario for job in jobs))
@@ -125,7 +125,7 @@ def _play(
         for scenario, own in runs.items()
     ]
     rows, pairs = list(map(summary, played)), paired_rows(played, config.against)
-    return Found(played, rows, pairs, bounds, rank(played)), compiling
+    return ComparisonResult(played, rows, pairs, bounds, rank(played)), compiling
 
 
 def paired_rows(played: Sequence[Played], against: str | None) -> list[Row]:
@@ -137,7 +137,7 @@ def paired_rows(played: Sequence[Played], against: str | None) -> list[Row]:
     ]
 
 
-def _show(found: Found, config: Config, console: Console) -> None:
+def _show(found: ComparisonResult, config: Config, console: Console) -> None:
     """Print the summary, the matrix and the requested details."""
     if config.ceiling:
         console.print(tables.ceiling_table(found.bounds))
@@ -160,7 +160,7 @@ def _show(found: Found, config: Config, console: Console) -> None:
     console.print()
 
 
-def write(part: RunCheckpoint, found: Found, config: Config) -> list[str]:
+def write(part: RunCheckpoint, found: ComparisonResult, config: Config) -> list[str]:
     """Write all tables and trajectories.npz; returns their names."""
     episodes = (
         {"scenario": done.job.scenario.name, "policy": done.job.name} | row
@@ -188,16 +188,18 @@ def write(part: RunCheckpoint, found: Found, config: Config) -> list[str]:
     return [*files, "paired.csv", "trajectories.npz"]
 
 
-def description(config: Config, found: Found, timing: dict[str, float]) -> dict[str, Any]:
+def description(
+    config: Config, found: ComparisonResult, timing: dict[str, float]
+) -> dict[str, Any]:
     """Content of run.json without the digests."""
-    starts = {done.job.scenario: len(done.episodes.success) for done in found.played}
+    counts = {done.job.scenario: len(done.episodes.success) for done in found.played}
     return results.provenance() | {
         "seed": config.seed,
-        "episodes": config.episodes or max(starts.values()),
-        "keep": max(min(config.kept(one), config.starts(one)) for one in starts),
-        "starts": {scenario.name: count for scenario, count in starts.items()},
-        "scenarios": {scenario.name: scenario.to_plain() for scenario in starts},
-        "versioned": {scenario.name: results.versioned(scenario) for scenario in starts},
+        "episodes": config.episodes or max(counts.values()),
+        "keep": max(min(config.kept(one), config.count(one)) for one in counts),
+        "initial_conditions": {scenario.name: count for scenario, count in counts.items()},
+        "scenarios": {scenario.name: scenario.to_plain() for scenario in counts},
+        "versioned": {scenario.name: results.versioned(scenario) for scenario in counts},
         "policies": {name: list(own) for name, own in by_scenario(found.played).items()},
         "labels": {one.job.label: one.job.policy for one in found.played if one.job.label},
         "merges_above_bound": found.excess,
@@ -205,14 +207,14 @@ def description(config: Config, found: Found, timing: dict[str, float]) -> dict[
     }
 
 
-def write_summary(path: Path, found: Found, about: Mapping[str, Any]) -> None:
+def write_summary(path: Path, found: ComparisonResult, about: Mapping[str, Any]) -> None:
     """Write a JSON summary for ``--json``.
 
     Columns are those of results.csv and paired.csv, null if not applicable.
     """
     scenarios = {
         ranking.scenario: {
-            "starts": ranking.starts,
+            "initial_conditions": ranking.count,
             "best": ranking.best if ranking.is_contest else None,
             "tied": list(ranking.tied),
             "references": list(ranking.references),
@@ -235,11 +237,13 @@ def _plain(row: Row, columns: Sequence[str]) -> Row:
     return {column: None if cell == "" else cell for column, cell in cells.items()}
 
 
-def _draw(part: RunCheckpoint, found: Found, config: Config, console: Console) -> list[str]:
+def _draw(
+    part: RunCheckpoint, found: ComparisonResult, config: Config, console: Console
+) -> list[str]:
     """Draw all figures; returns the names of their files."""
     pictures, endings = list(_pictures(found, config)), ("png", "pdf") if config.pdf else ("png",)
     work = partial(_draw_one, folder=part.whole, run=part.run, endings=endings)
-    # on this machine, wherever was played: its files are wanted here
+    # on this machine, since the files are needed here
     drawn = parallel_map(work, pictures, Workers(jobs=config.jobs))
     with console.status("drawing …"), closing(drawn):
         list(drawn)
@@ -255,7 +259,7 @@ def _draw_one(picture: Picture, *, folder: Path, run: str, endings: Sequence[str
         style.save(figure, folder / f"{title}.{ending}", run)
 
 
-def _pictures(found: Found, config: Config) -> Iterator[Picture]:
+def _pictures(found: ComparisonResult, config: Config) -> Iterator[Picture]:
     from ..figures import figures, path_figures
 
     for one in config.sweeps():

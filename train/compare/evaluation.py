@@ -23,7 +23,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
 from ..checks import user_error
-from ..recording import Recorder, Recording, is_recomputable, state_of
+from ..recording import EpisodeRecorder, Recording, is_recomputable, state_of
 
 CHUNK = 1024
 """Maximum batch size; further initial conditions are simulated in later chunks."""
@@ -72,7 +72,7 @@ class Episodes:
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """(N,), whether an episode succeeded, collision-free where contacts count."""
+        """True for episodes with (collision-free, where contacts count) success, (N,)."""
         return np.where(np.isnan(self.collision_free), self.success, self.collision_free == 1)
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -80,8 +80,8 @@ class Episodes:
         columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
         free = [None if value != value else int(value) for value in self.collision_free]
         columns["collision_free"] = free
-        for start in range(len(self.success)):
-            yield {"start": start} | {name: values[start] for name, values in columns.items()}
+        for k in range(len(self.success)):
+            yield {"initial_condition": k} | {name: values[k] for name, values in columns.items()}
 
 
 def play(
@@ -111,18 +111,18 @@ def play(
             guarantees none.
 
     Raises:
-        UserError: if the scenario has no room for an initial condition.
+        UserError: if no initial condition can be sampled.
     """
     episodes = starts_of(scenario, episodes)
     parts: list[Episodes] = []
     recordings: list[Recording] = []
     for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
-        with user_error(f"{scenario.name}: ", RuntimeError):  # no room for an initial condition
+        with user_error(f"{scenario.name}: ", RuntimeError):  # no initial condition found
             observations = simulator.reset(seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
         exact = is_recomputable(scenario)
-        recorders = [Recorder(simulator, team, observations, exact) for team in kept]
+        recorders = [EpisodeRecorder(simulator, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in islice(run(simulator, make_policy(), observations), steps):
             aligned, after = meter.see(step), state_of(simulator)

@@ -48,7 +48,7 @@ def destination(
     for name in names:
         if not (ours(name) or _LITTER.fullmatch(name)):
             raise UserError(
-                f"--out {given}: holds {name!r}, which {command} has not written; choose another "
+                f"--out {given}: contains {name!r}, which {command} did not write; choose another "
                 "folder, or move it away"
             )
     return out
@@ -58,7 +58,7 @@ def seal(folder: Path, files: Sequence[str], about: Mapping[str, Any]) -> None:
     """Write run.json: the description of a run and the digests of all files and of itself."""
     for name in files:
         with (folder / name).open("rb") as file:
-            os.fsync(file.fileno())  # outlasts a power failure, as run.json does
+            os.fsync(file.fileno())  # survives a power failure, as run.json does
     entries = {name: results.entry(folder / name) for name in sorted(files)}
     content = {**about, "files": entries}
     results.write_json(folder / RUN, {**content, "sha256": plain_data.digest_of_rest(content)})

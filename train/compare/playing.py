@@ -133,7 +133,7 @@ class Task:
 
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
     """Tasks of a job, one per block of initial conditions; ``number`` is the job's index."""
-    starts, kept = config.starts(job.scenario), config.kept(job.scenario)
+    starts, kept = config.count(job.scenario), config.kept(job.scenario)
     # external registrations exist in this process only
     has_file = ":" in job.policy and not job.policy.startswith("__main__:")
     stays = policies.kind_of(job.policy) == "own" and not has_file
@@ -178,8 +178,8 @@ def play_block(
             kept[start] = again.recordings[0]
     if weights is not None and _weights(job.policy, [job.scenario]) != weights:
         raise UserError(
-            f"policy {job.policy!r}: was changed since the comparison began, as a run that still "
-            "trains or a file that is edited; compare a copy of it"
+            f"policy {job.policy!r}: has changed since the comparison began, for example by "
+            "running training or an edit; compare a copy"
         )
     return Played(job, done.episodes, kept, ready)
 

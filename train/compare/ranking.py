@@ -15,7 +15,7 @@ from .statistics import best_policy, collision_free_difference
 
 _MOST_NAMED = 4
 """Maximum number of tied policies named in the summary."""
-ONE_START, NONE_MET = "one episode decides nothing", "no policy met without a collision"
+ONE_START, NONE_MET = "one episode is not conclusive", "no policy met without a collision"
 """Reasons why a scenario has no best policy."""
 
 
@@ -24,7 +24,7 @@ class Ranking:
     """Ranking of policies on one scenario by collision-free success."""
 
     scenario: str
-    starts: int
+    count: int
     share: dict[str, float]  # collision-free success, 0 to 1; NaN where contacts do not count
     best: str | None  # among policies that are not oracles
     tied: tuple[str, ...]
@@ -59,17 +59,17 @@ def _rank_one(
     share = {name: float(own.collision_free.mean()) for name, own in episodes.items()}
     references = tuple(name for name in episodes if kinds[name] == "privileged")
     competing = {name: own for name, own in episodes.items() if name not in references}
-    starts = len(next(iter(episodes.values())).collision_free)
+    count = len(next(iter(episodes.values())).collision_free)
     best, undecided = None, ""
     if competing and not np.isnan(list(share.values())).any():
         best = best_policy(competing)
-        if starts < starts_of(scenario, 2):
+        if count < starts_of(scenario, 2):
             best, undecided = None, ONE_START
         elif share[best] == 0.0:
             best, undecided = None, NONE_MET
     tied = () if best is None else _tied(best, competing)
     undecided = undecided if len(competing) > 1 else ""
-    return Ranking(scenario.name, starts, share, best, tied, references, undecided)
+    return Ranking(scenario.name, count, share, best, tied, references, undecided)
 
 
 def _tied(best: str, competing: dict[str, Episodes]) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ def answer(rankings: Sequence[Ranking]) -> str:
     """One-sentence summary of the leading policies."""
     contests = [ranking for ranking in rankings if ranking.is_contest]
     if not contests:
-        return f"Nothing to win: {_why_undecided(rankings)}."
+        return f"No ranking: {_why_undecided(rankings)}."
     tops, alone = _counts(contests)
     order = leaders(rankings)
     leader = order[0]
@@ -106,7 +106,7 @@ def answer(rankings: Sequence[Ranking]) -> str:
 def _why_undecided(rankings: Sequence[Ranking]) -> str:
     reasons = {ranking.undecided for ranking in rankings}
     if reasons == {ONE_START}:
-        return "one episode of a random scenario decides nothing; play more with --episodes"
+        return "one episode of a random scenario is not conclusive; use more --episodes"
     if reasons == {NONE_MET}:
         return "no policy met without a collision in any episode"
     return "no scenario has two policies that can meet without a collision"

@@ -35,9 +35,9 @@ _LARGE = 8
 
 EXAMPLES = (
     "",
-    "--scenario clutter-8 trap --policies tangent-joined learned --episodes 200",
+    "--scenario clutter-8 trap --policies tangent-merged learned --episodes 200",
     "--scenario fig3 --set n_robots=9 time_limit=60",
-    "--scenario clutter-8 --sensing noise=0,0.1,0.2 --against tangent-joined",
+    "--scenario clutter-8 --sensing noise=0,0.1,0.2 --against tangent-merged",
 )
 FLAG_GROUPS = {
     "Output": ("out", "fresh", "keep", "details", "json", "figures", "pdf"),
@@ -97,7 +97,7 @@ class Config(Workers):
         """Scenarios at the levels of the sensor sweeps."""
         return levels.sweeps(_resolve(self), self.sensing)
 
-    def starts(self, scenario: Scenario) -> int:
+    def count(self, scenario: Scenario) -> int:
         """Number of distinct initial conditions of a scenario."""
         asked = _fewer(_STARTS, scenario) if self.episodes is None else self.episodes
         return starts_of(scenario, asked)
@@ -145,7 +145,7 @@ def plan(config: Config) -> list[Job]:
         fitting = policies.fitting(scenario, list(labels), brief=brief)
         if not fitting:
             known = ", ".join(baselines.names(scenario))
-            raise UserError(f"no policy of those named fits {scenario.name}; these do: {known}")
+            raise UserError(f"none of the named policies fits {scenario.name}; these do: {known}")
         jobs += [Job(scenario, name, labels.get(name, "")) for name in fitting]
     played = list(dict.fromkeys(job.name for job in jobs))
     if config.against is not None and config.against not in played:
@@ -156,14 +156,14 @@ def plan(config: Config) -> list[Job]:
     if config.json is not None:
         path, out = (Path(os.path.realpath(one)) for one in (config.json, config.out))
         if {out, part_of(out)} & {path, *path.parents}:
-            raise UserError(f"--json {config.json}: lies in OUT or OUT.part; choose a place beside")
+            raise UserError(f"--json {config.json}: is in OUT or OUT.part; choose another folder")
         results.prepare_file(config.json, "--json")
     return jobs
 
 
 def _resolve(config: Config) -> list[Scenario]:
     if not config.scenarios:
-        raise UserError("--scenarios names none; known are " + ", ".join(named_scenarios.names()))
+        raise UserError("--scenarios is empty; known are " + ", ".join(named_scenarios.names()))
     resolved = [policies.resolve_scenario(name, config.set) for name in config.scenarios]
     _check_names(resolved)
     return resolved
@@ -173,9 +173,9 @@ def _check_names(scenarios: list[Scenario]) -> None:
     names = [scenario.name for scenario in scenarios]
     for name in names:
         if "/" in name or os.sep in name:
-            raise UserError(f"scenario name {name!r} would name a folder; leave out the slash")
+            raise UserError(f"scenario name {name!r} would name a folder; remove the slash")
         if (size := len(name.encode())) > _LONGEST_NAME:
             what = f"scenario name {name[:20]}… has {size} bytes; names of figures take"
             raise UserError(f"{what} {_LONGEST_NAME}: give a shorter one")
         if names.count(name) > 1:
-            raise UserError(f"two scenarios are called {name!r}; their results would mix")
+            raise UserError(f"two scenarios have the name {name!r}; their results would be mixed")

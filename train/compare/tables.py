@@ -152,7 +152,7 @@ def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
         name = textwrap.fill(ranking.scenario, heading)
         table.add_column(Text(name), justify="right", vertical="bottom", min_width=5)
     shown = dict.fromkeys(name for ranking in rankings for name in ranking.share)
-    table.add_row("episodes", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")
+    table.add_row("episodes", *(Text(str(ranking.count)) for ranking in rankings), style="dim")
     references = {name for ranking in rankings for name in ranking.references}
     for name in sorted(shown, key=lambda name: name in references):
         table.add_row(name, *(_cell(ranking, name) for ranking in rankings))
@@ -162,16 +162,16 @@ def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
 def _cell(ranking: Ranking, name: str) -> RenderableType:
     if name not in ranking.share:
         return ""
-    text = percent(ranking.share[name], ranking.starts)
+    text = percent(ranking.share[name], ranking.count)
     if name == ranking.best and ranking.is_contest:
         return Text(f"{text}{BEST}", style="bold")
     mark = TIED if name in ranking.tied else " "
     return Text(f"{text}{mark}", style="dim" if name in ranking.references else "")
 
 
-def percent(share: float, starts: int) -> str:
+def percent(share: float, count: int) -> str:
     """Percentage, with one decimal if the number of episodes supports it."""
-    return "–" if share != share else f"{100 * share:.{int(starts >= 400)}f}"
+    return "–" if share != share else f"{100 * share:.{int(count >= 400)}f}"
 
 
 def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
@@ -183,8 +183,8 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
         )
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):
         yield (
-            f"{', '.join(references)}: reference, knows the map and all positions; what it passes "
-            "without contact is possible"
+            f"{', '.join(references)}: oracle with the map and all positions; its success is an "
+            "upper bound"
         )
     for reason in (ONE_START, NONE_MET):
         if found := [one.scenario for one in rankings if one.undecided == reason]:

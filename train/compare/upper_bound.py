@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rendezvous_env.baselines.obstacle_rules.obstacle_avoidance import (
     CertifiedHeadingPolicy,
-    tangent_joined_heading,
+    tangent_merged_heading,
 )
 from rendezvous_env.baselines.references import privileged_planner
 
@@ -37,7 +37,7 @@ _WANDER_TIME = 1.0  # s
 
 def applies(scenario: Scenario) -> bool:
     """True if the merged-interval rule fits and the scenario has obstacles."""
-    return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
+    return "tangent-merged" in baselines.names(scenario) and counts_contacts(scenario)
 
 
 def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -> Episodes:
@@ -55,7 +55,7 @@ def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -
 
 def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
     """Tasks of the requested runs of law (4) and of the planner."""
-    starts = config.starts(scenario)
+    starts = config.count(scenario)
     return [
         Task(
             name=f"upper-bound-{scenario.name}-{'planner' if run is None else f'{run:04d}'}",
@@ -122,7 +122,7 @@ class _RandomRule:
         c, s = np.cos(angle), np.sin(angle)  # about z
         aside[..., 0] = c * f[..., 0] - s * f[..., 1]
         aside[..., 1] = s * f[..., 0] + c * f[..., 1]
-        headings = tangent_joined_heading(aside, silhouettes, clearance=self.clearance)
+        headings = tangent_merged_heading(aside, silhouettes, clearance=self.clearance)
         square = np.maximum(np.sum(f * f, axis=-1, keepdims=True), np.finfo(float).tiny)
         against = np.minimum(np.sum(headings * f, axis=-1, keepdims=True), 0.0)
         return headings - against / square * f

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rendezvous_env.baselines.policy import current_name
 
 from rendezvous_env.checks import counted
 from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
@@ -37,8 +38,8 @@ _POLICY_COLOURS = {
     "privileged-planner": SKY,
     "tangent": DARK_RED,
     "tangent-blocking": PURPLE,
-    "tangent-joined": GREEN,
-    "tank-joined": GREEN,
+    "tangent-merged": GREEN,
+    "tank-merged": GREEN,
     "learned": VERMILLION,
     "link-keeping": "#44AA99",
     "pursuit": "#999933",
@@ -62,30 +63,30 @@ _VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D", "-tank-noise": "P"}
 
 
 _OWN_COLOURS = (BLACK, "#A6761D", "#7B3FE4", "#C51B7D", "#00788A", "#6B6B00", "#FF5FA2")
-"""Of policies that have no colour of their own, in the order in which a comparison has them."""
+"""Colours of policies without a fixed colour, in the order of a comparison."""
 _OWN_MARKERS = ("o", "v", "<", ">", "p", "h", "*")
-"""Of the same; each colour comes back with another one."""
+"""Markers of the same policies; a repeated colour has another marker."""
 Names = Sequence[str]
 _LONG, _END = 32, 20
-"""Characters of a name from which on it is shortened in figures, and of its end."""
+"""Length from which a name is shortened in figures, and length of its kept end, characters."""
 
 
 def own_names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Names of the policies of rows of results.csv that have no colour of their own, in order."""
+    """Policies in rows of results.csv without a fixed colour, in order."""
     names = dict.fromkeys(str(row["policy"]) for row in rows)
     return [name for name in names if _plain(name) not in _POLICY_COLOURS and not _is_shipped(name)]
 
 
 def shown_name(name: str) -> str:
-    """A policy's name in a figure: of a long path its end."""
+    """Name of a policy in a figure: the end of a long path."""
     return name if len(name) <= _LONG else f"{name.partition(':')[0]}:…{name[-_END:]}"
 
 
 def _plain(name: str) -> str:
-    """A name without the ending of a variant."""
+    """Current name of a policy without the ending of a variant."""
     for ending in _VARIANTS:
         name = name.removesuffix(ending)
-    return name
+    return current_name(name)
 
 
 def _is_shipped(name: str) -> bool:
@@ -93,7 +94,7 @@ def _is_shipped(name: str) -> bool:
 
 
 def policy_colour(name: str, own: Names = ()) -> str:
-    """The colour of a policy in every figure; those of ``own`` take theirs in order."""
+    """Colour of a policy in all figures; those of ``own`` have theirs in order."""
     if name in own:
         return _OWN_COLOURS[list(own).index(name) % len(_OWN_COLOURS)]
     colour = _POLICY_COLOURS.get(_plain(name))
@@ -101,7 +102,7 @@ def policy_colour(name: str, own: Names = ()) -> str:
 
 
 def policy_marker(name: str, own: Names = ()) -> str:
-    """The marker of a policy, which tells its variants apart; of ``own`` those of one colour."""
+    """Marker of a policy, which distinguishes its variants, or those of ``own`` with one colour."""
     if name in own:
         rounds, place = divmod(list(own).index(name), len(_OWN_COLOURS))
         return _OWN_MARKERS[(place + rounds) % len(_OWN_MARKERS)]
@@ -128,7 +129,7 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     axes = figure.axes[0]
     handles = [
         axes.plot([], [], "o", color=GREY, fillstyle="none", label="all robots met")[0],
-        axes.plot([], [], "o", color=GREY, label="and none touched an obstacle")[0],
+        axes.plot([], [], "o", color=GREY, label="collision-free")[0],
         axes.plot([], [], "-", color=GREY, label="95 % interval")[0],
     ]
     across = 1 if figure.get_figwidth() == COLUMN else len(handles)
@@ -148,7 +149,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         for row in panel:
             if row not in met:
                 style: Any = {"va": "center", "fontsize": SMALL - 1, "color": "0.4"}
-                # in the layout it would take all room of a panel of time-outs alone
+                # in the layout it would fill a panel of time-outs
                 style |= {"transform": axes.get_yaxis_transform(), "in_layout": False}
                 axes.text(0.02, row["place"], "at most half met", **style)
         latest = (np.fmax(row["time_high"], row["median_time"]) for row in met)

@@ -163,7 +163,7 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
     paths: Any = figure.add_subplot(grid[0], projection="3d" if space else None)
     value = figure.add_subplot(grid[1])
     if space:
-        paths.locator_params(nbins=5)  # before the scales are made equal, which it undoes
+        paths.locator_params(nbins=5)  # before the scales are equalised, which it would undo
     draw_paths(paths, recording, scenario)
     arrows = ", arrows: headings" if scenario.model.n_angles else ""
     paths.set(
@@ -174,7 +174,7 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
     if space:
         paths.set(zlabel="z (m)")
         paths.tick_params(pad=0)
-        paths.set_box_aspect(None, zoom=0.85)  # its labels lie outside of the room it asks for
+        paths.set_box_aspect(None, zoom=0.85)  # its labels are outside the reserved area
     elif scenario.n_robots <= _MOST_NAMES:
         _name_robots(paths, recording)
     draw_lyapunov(value, recording)
@@ -263,7 +263,7 @@ def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
     angles = np.arange(16) * np.pi / 8
     around = away * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     taken = positions.reshape(-1, 2)
-    if recording["headings"].shape[-1]:  # the arrow that is drawn at each start
+    if recording["headings"].shape[-1]:  # the arrow at each initial position
         heads = positions[0] + away * facing(recording["headings"][0], 2)
         taken = np.concatenate([taken, heads, 2 * heads - positions[0]])
     for robot, start in enumerate(positions[0]):

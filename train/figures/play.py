@@ -14,7 +14,7 @@ from .. import policies
 from ..checks import Bounds, Flags, UserError, check_installed
 from ..console import Console
 
-EXAMPLES = ("clutter-8", "trap --policy tangent-joined --set n_robots=3")
+EXAMPLES = ("clutter-8", "trap --policy tangent-merged --set n_robots=3")
 
 
 @dataclass(frozen=True)

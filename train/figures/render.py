@@ -27,16 +27,16 @@ from . import path_figures, style
 from .reproduce import one_team
 
 STILLS = (".png", ".pdf")
-_USUAL_LENGTH = 8.0  # s, of a video whose speed is not given
-_LEAST_STEPS = 15  # in a second of such a video; fewer would not look like motion
-_LAST_PICTURE = 1.5  # s, for which a video shows the end of the episode
+_USUAL_LENGTH = 8.0  # s, default duration of a video
+_LEAST_STEPS = 15  # steps per second of such a video; fewer would not look like motion
+_LAST_PICTURE = 1.5  # s, time at the end of a video
 
 Frame = NDArray[np.uint8]
 """Image array (height, width, 3); frames of a video have equal and even sizes."""
 
 EXAMPLES = (
     "--scenario fig4",
-    "--scenario trap --policy tangent-joined --out out/trap.mp4 --fps 30",
+    "--scenario trap --policy tangent-merged --out out/trap.mp4 --fps 30",
 )
 
 

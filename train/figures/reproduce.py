@@ -32,12 +32,12 @@ from .style import PAGE, new_figure, styled
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
+_LAWS = {"fig3": "bearing-only", "fig4": "tangent-merged"}
 """Figure 3: law (1) through the obstacles. Figure 4: law (4) around them."""
 
 _JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
 
-TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-joined"
+TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-merged"
 MARGINS = (0.05, 0.1, 0.2, 0.4, 0.8)
 BUDGETS = (0.0, 20.0)
 """Energy budgets, m²/s."""
@@ -60,11 +60,11 @@ class Config(Flags):
 
     figure: Positional[Literal["fig3", "fig4", "tank", "bounds", "pixels"]]
     """Figure to make. fig3: paths and V(t) of law (1), obstacles ignored. fig4: paths and V(t) of
-    law (4) around the obstacles. tank: tank-joined among 24 discs over margins and budgets. bounds:
+    law (4) around the obstacles. tank: tank-merged among 24 discs over margins and budgets. bounds:
     table of measured times and time bounds under every guarantee. pixels: success from camera
     images and the prediction of Sensing.camera()."""
     policy: str | None = None
-    """Policy of fig3, fig4 or pixels. Default: bearing-only, tangent-joined, or four policies."""
+    """Policy of fig3, fig4 or pixels. Default: bearing-only, tangent-merged, or four policies."""
     out: Path = Path("out/reproduce")
     """Folder for the figure and its data."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
@@ -77,7 +77,7 @@ class Config(Flags):
 
 def run(config: Config) -> int:
     """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv."""
-    unused = {} if config.figure == "bounds" else {"page": f"{config.figure} makes no table for it"}
+    unused = {} if config.figure == "bounds" else {"page": f"{config.figure} has no table"}
     if shown := {"tank": TANK_POLICY, "bounds": "random choices"}.get(config.figure):
         unused["policy"] = f"{config.figure} shows {shown} alone"
     check_unused(config, unused)
@@ -153,9 +153,9 @@ def _pixels(config: Config) -> int:
             rows.append(row := pixels.compare(name, config.episodes, config.seed))
         console.print(
             f"{name}: {row['collision_free']:.1%} [{row['low']:.1%}, {row['high']:.1%}] "
-            f"without a contact from pixels, {row['predicted']:.1%} by Sensing.camera(), "
+            f"collision-free from pixels, {row['predicted']:.1%} by Sensing.camera(), "
             f"{row['exact']:.1%} exact; "
-            f"{row['steps_per_core_second']:.0f} steps in a second of a core",
+            f"{row['steps_per_core_second']:.0f} steps per core second",
             soft_wrap=True,
         )
     results.write_csv(path, rows)
@@ -183,7 +183,7 @@ def _tank(config: Config) -> int:
 def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
     """One row per budget and margin, from the same initial conditions starting at a seed."""
     scenario = scenarios.get(TANK_SCENARIO)
-    free = scenario.replace(obstacles=())  # theorem D bounds a team with nothing in its way
+    free = scenario.replace(obstacles=())  # theorem D assumes no obstacles
     for budget, margin in product(BUDGETS, MARGINS):
         options = {"budget": budget, "min_alignment": margin}
         policy = baselines.make(TANK_POLICY, scenario, **options)

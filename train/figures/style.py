@@ -18,7 +18,7 @@ SMALL = 7
 """Smallest font size, points."""
 _DPI = 200
 _STYLE = {
-    "pdf.fonttype": 42,  # TrueType; IEEE refuses Type 3
+    "pdf.fonttype": 42,  # TrueType; IEEE rejects Type 3
     "font.size": 8,
     "axes.titlesize": 8,
     "axes.labelsize": 8,

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,10 +12,11 @@ import numpy as np
 from tyro.conf import arg
 
 from rendezvous_env.checks import counted
+from rendezvous_env.deprecation import renamed_arguments
 from rendezvous_env.scenario import scenarios
 
 from .. import results
-from ..checks import Bounds, UserError
+from ..checks import Bounds, UserError, current_policy
 from ..compare import out_folder, statistics
 from ..compare.playing import Task, play_all
 from ..console import Console
@@ -24,8 +25,18 @@ from ..policies import resolve_scenario
 from ..resume import RunCheckpoint, program
 from ..tasks import Workers
 from . import registry, tables
-from .cards import Card, Run, RunKey, has_replay, place_of, read_card, read_cards, run_of, write_run
 from .replays import path_of, write_replay
+from .run_records import (
+    Run,
+    RunKey,
+    RunRecord,
+    has_replay,
+    place_of,
+    read_record,
+    read_records,
+    run_of,
+    write_run,
+)
 
 Tier = Literal["smoke", "mini", "full"]
 
@@ -35,8 +46,8 @@ class Protocol(NamedTuple):
 
     fields: tuple[str, ...]
     seeds: int
-    decisions: int  # of single robots, in each cell
-    starts: int  # held out, in each cell
+    decisions: int  # of single robots, per run
+    episodes: int  # held out, per run
 
 
 _FIELDS = (
@@ -54,7 +65,7 @@ EXAMPLES = (
 )
 FLAG_GROUPS = {"Output": ("out", "fresh"), "Workers": ("jobs", "on", "address")}
 _TABLES = r"(leaderboard|improvement)\.csv|(price|profiles)\.png|README\.md|report\.html"
-_SAME = ("algorithm", "field", "digest", "seed", "decisions", "starts", "results")
+_SAME = ("algorithm", "field", "digest", "seed", "decisions", "episodes", "results")
 """Entries of a run record that a repetition must reproduce."""
 
 
@@ -73,8 +84,9 @@ class Config(Workers):
     """Training seeds. Default: those of the tier, 0, 1 and so on."""
     decisions: Annotated[int | None, Bounds(1)] = None
     """Training budget, in decisions of single robots. Default: that of the tier."""
-    starts: Annotated[int | None, Bounds(1)] = None
-    """Number of held-out initial conditions. Default: that of the tier."""
+    episodes: Annotated[int | None, Bounds(1)] = None
+    """Number of episodes of an evaluation, from held-out initial conditions. Default: that of the
+    tier."""
     repeat: Path | None = None
     """Run record to repeat and compare bitwise; exit status 1 if it differs. The other flags are
     taken from the record."""
@@ -88,11 +100,18 @@ class Config(Workers):
     """Discard the unfinished results of another command in OUT.part."""
 
 
+FORMER_FLAGS = {"--starts": "--episodes"}
+"""Deprecated flags."""
+Config.__init__ = renamed_arguments(  # type: ignore[method-assign]
+    starts="episodes"
+)(Config.__init__)
+
+
 def plan(config: Config) -> list[RunKey]:
     """Runs requested by a configuration; a UserError if no algorithm fits any scenario."""
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)
-    decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
+    decisions, episodes = config.decisions or tier.decisions, config.episodes or tier.episodes
     seeds = config.seeds or tuple(range(tier.seeds))
     places = []
     for name in config.algorithms or able:
@@ -104,11 +123,11 @@ def plan(config: Config) -> list[RunKey]:
             field = named["field"].partition("/")[2]
             if algorithm.fits(scenario):
                 own, much = (seeds, decisions) if algorithm.learns else (seeds[:1], 0)
-                places += [RunKey(name, field, seed, much, starts) for seed in own]
+                places += [RunKey(name, field, seed, much, episodes) for seed in own]
     if not places:
-        raise UserError("none of these algorithms fits any of these fields")
+        raise UserError("none of these algorithms fits any of these scenarios")
     if len(set(places)) < len(places):
-        raise UserError("an algorithm, a field or a seed is named twice; name each once")
+        raise UserError("an algorithm, a scenario or a seed is named twice; name each once")
     return places
 
 
@@ -122,12 +141,12 @@ def run(config: Config) -> int:
     if config.repeat is not None:
         return _repeat(config.repeat, config.record, console)
     places, begun = plan(config), any(config.out.glob("cells/*/*.json"))
-    ours = re.compile("cells|replays|" + _TABLES * begun)  # a kill may leave no card yet
+    ours = re.compile("cells|replays|" + _TABLES * begun)  # a killed process may leave no record
     out = out_folder.destination(config.out, "leaderboard", ours.fullmatch)
     lacking = {name: one.missing for name, one in registry.known().items() if one.missing}
     if lacking and not config.algorithms:
         wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
-        console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
+        console.print(f"skipped without {wanted}: {', '.join(lacking)}", soft_wrap=True)
     asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
     part = RunCheckpoint(out_folder.part_of(out), asked, "leaderboard")
     with part.at_work(config.out, console, fresh=config.fresh):
@@ -156,17 +175,29 @@ def run(config: Config) -> int:
     return 0
 
 
-def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, Card]:
-    """Runs stored in a folder; a UserError if their budget or initial conditions differ."""
-    kept = {place_of(card): card for card in read_cards(out)}
-    for what in ("decisions", "starts"):
+def _kept(out: Path, places: Sequence[RunKey]) -> dict[RunKey, RunRecord]:
+    """Runs stored in a folder; a UserError if their budget or number of episodes differs."""
+    kept = {place_of(card): card for card in read_records(out)}
+    _check_names(out, kept, places)
+    for what in ("decisions", "episodes"):
         amounts = {getattr(place, what) for place in (*kept, *places)} - {0}
         if len(amounts) > 1:
             each = " and ".join(f"{amount:,}" for amount in sorted(amounts))
             raise UserError(
-                f"--out {out}: {each} {what} do not stand in one table; choose another folder"
+                f"--out {out}: {each} {what} cannot be in one table; choose another folder"
             )
     return kept
+
+
+def _check_names(out: Path, kept: Iterable[RunKey], places: Iterable[RunKey]) -> None:
+    """Raise a UserError if a folder has runs of an algorithm under its deprecated name."""
+    asked = {place.algorithm for place in places}
+    for former in {place.algorithm for place in kept}:
+        if (name := current_policy(former)) != former and name in asked:
+            raise UserError(
+                f"--out {out}: holds runs of {former}, which is called {name} now; choose another "
+                f'folder, or rename cells/{former}, replays/{former} and "algorithm" in its records'
+            )
 
 
 def write(out: Path, runs: Sequence[Run], console: Console) -> None:
@@ -187,13 +218,13 @@ def _repeat(path: Path, record: bool, console: Console) -> int:
 
     If it differs, report whether collision-free success lies within the interval of a repetition.
     """
-    card = read_card(path)
+    card = read_record(path)
     place = place_of(card)
     kept = path_of(path) if record else None
     again, replay = run_of(place, record)
     differ = [key for key in _SAME if again[key] != card.get(key)]
     if not differ:
-        console.print(f"{place.name}: the same, bit for bit", soft_wrap=True)
+        console.print(f"{place.name}: bitwise equal", soft_wrap=True)
         if kept is not None and replay is not None:
             write_replay(kept, replay)
             console.print(f"its replay: {kept}", soft_wrap=True)
@@ -205,7 +236,7 @@ def _repeat(path: Path, record: bool, console: Console) -> int:
     where = "within" if low <= 0.0 <= high else "outside"
     print(
         f"error: {place.name}: {', '.join(differ)} differ{told}; collision-free success is "
-        f"{own.mean():.3f}, on the card {was.mean():.3f}, {where} the 95 % interval of the "
+        f"{own.mean():.3f}, in the record {was.mean():.3f}, {where} the 95 % interval of the "
         "difference",
         file=sys.stderr,
     )

@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 from rendezvous_env.simulator import Simulator
 
 from ..learn.settings import EVALUATION_SEEDS
-from .teams import COSTS
+from .environments import COSTS
 
 
 @dataclass(frozen=True)
-class Player:
+class EvaluationSetup:
     """Environments that stop when their episode ends, with the policy that controls them."""
 
-    teams: Any  # a vector environment of B teams with ``costs`` of ``teams.COSTS``
+    env: Any
+    """Vector environment whose ``costs`` are COSTS."""
     act: Callable[[NDArray[np.float32], NDArray[np.float64]], Any]
     """(observations, times (B,) in s) → actions."""
 
 
 def play(
-    player: Player, watch: Callable[[Simulator], None] = lambda simulator: None
+    player: EvaluationSetup, watch: Callable[[Simulator], None] = lambda simulator: None
 ) -> dict[str, list[Any]]:
     """Run one episode per environment from the held-out seeds 2⁶¹, 2⁶¹ + 1, ….
 
@@ -37,13 +38,13 @@ def play(
         increased between merges without any contact in the team); "rise" (sum of increases of V
         between merges over the initial V); "steps" (robot steps).
     """
-    teams, simulator = player.teams, player.teams.unwrapped.simulator
-    seen, _ = teams.reset(seed=EVALUATION_SEEDS)
+    env, simulator = player.env, player.env.unwrapped.simulator
+    seen, _ = env.reset(seed=EVALUATION_SEEDS)
     watch(simulator)
     total = {name: np.zeros(simulator.active.shape) for name in COSTS}
     over = np.zeros(len(simulator.active), dtype=np.bool_)
     while not over.all():
-        seen, _, met, late, infos = teams.step(player.act(seen, simulator.time))
+        seen, _, met, late, infos = env.step(player.act(seen, simulator.time))
         over |= met | late
         for name in COSTS:
             total[name] += infos[f"cost_{name}"]
@@ -53,6 +54,6 @@ def play(
         "success": success.astype(int).tolist(),
         "clean": (success & (infos["contacts"] == 0)).astype(int).tolist(),
         "time": np.where(success, infos["time"], limit).round(6).tolist(),
-        "rise": total["rise"].max(axis=1).round(9).tolist(),  # all robots are told the team's
+        "rise": total["rise"].max(axis=1).round(9).tolist(),  # the same for all robots
         **{own: total[name].sum(axis=1).astype(int).tolist() for name, own in names.items()},
     }

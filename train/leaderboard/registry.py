@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..checks import UserError, unknown_name
-from .playing import Player
+from ..checks import UserError, current_policy, unknown_name
+from .playing import EvaluationSetup
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Budget:
     """Training budget."""
 
     decisions: int  # of single robots
-    num_envs: int = 64  # environments side by side
+    num_envs: int = 64  # number of parallel environments
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,18 @@ class Algorithm:
     named as the file with hyphens, or ``ALGORITHMS``, a mapping by name.
     """
 
-    about: str  # what it is, in a line
-    safety: str  # its way of being safe, in a word or two
-    guarantee: Literal["none", "heading", "tank"]  # proven: nothing, theorem C or theorem D
-    given: str  # what it reads: "bearings", or what else
-    learn: Callable[[Scenario, int, Budget], tuple[Callable[[int], Player], dict[str, Any]]]
+    about: str  # one-line description
+    safety: str  # safety mechanism, in a word or two
+    guarantee: Literal["none", "heading", "tank"]  # guarantee: none, theorem C or theorem D
+    given: str  # inputs: "bearings", or others
+    learn: Callable[
+        [Scenario, int, Budget], tuple[Callable[[int], EvaluationSetup], dict[str, Any]]
+    ]
     """(scenario, seed, budget) → (factory of a player for a number of environments, settings as
     plain data). An algorithm without training returns immediately."""
-    fits: Callable[[Scenario], bool]  # whether it can be had on a field
-    learns: bool = True  # whether its seed and budget matter; else one seed is played
-    packages: tuple[str, ...] = ()  # distributions it needs; their versions are on its cards
+    fits: Callable[[Scenario], bool]  # whether it supports a scenario
+    learns: bool = True  # whether seed and budget matter; otherwise one seed is run
+    packages: tuple[str, ...] = ()  # required distributions; their versions are in its records
 
     @property
     def missing(self) -> list[str]:
@@ -60,7 +62,12 @@ def known() -> dict[str, Algorithm]:
 
 
 def find(name: str) -> Algorithm:
-    """Algorithm by name; a UserError if it is unknown or a package is missing."""
+    """Algorithm by name, also a deprecated one.
+
+    Raises:
+        UserError: if it is unknown or a package is missing.
+    """
+    name = current_policy(name)
     if name not in known():
         raise unknown_name("algorithm", name, known())
     if missing := known()[name].missing:

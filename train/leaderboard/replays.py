@@ -20,29 +20,30 @@ from .. import results
 from ..checks import UserError
 from ..compare.evaluation import alignments
 from ..encoding import Encoded, encode_all
-from ..recording import Recorder, Recording, state_of
-from .playing import Player, play
+from ..recording import EpisodeRecorder, Recording, state_of
+from .playing import EvaluationSetup, play
 
 BUDGET = 20_000
 """Maximum size of the recordings of a run, in characters; longer ones are subsampled."""
 _TEXT = re.compile(r"[\w+/]+=*", re.ASCII)
 Replay = dict[str, Any]
-"""As it lies in OUT/replays: "starts", by number, each an ``Encoded``; and the digest "sha256" of
-them and of the results on its card."""
+"""Contents of a file in OUT/replays: "starts", by number, each an ``Encoded``; and the digest "
+""sha256" of
+them and of the results in its record."""
 
 
 def play_and_record(
-    player: Player, starts: Sequence[int]
+    player: EvaluationSetup, starts: Sequence[int]
 ) -> tuple[dict[str, list[Any]], list[Recording]]:
     """As ``play``, with recordings of the environments with these indices.
 
     It observes ``Simulator.step``, independent of the caller.
     """
-    recorders: list[Recorder] = []
+    recorders: list[EpisodeRecorder] = []
 
     def begin(simulator: Simulator) -> None:
         step, seen = simulator.step, simulator.observe()
-        recorders.extend(Recorder(simulator, team, seen, exact=False) for team in starts)
+        recorders.extend(EpisodeRecorder(simulator, team, seen, exact=False) for team in starts)
 
         def watched(actions: NDArray[np.float32]) -> StepOutput:
             nonlocal seen
@@ -61,7 +62,7 @@ def play_and_record(
     return found, [recorder.finish() for recorder in recorders]
 
 
-def replay_of(found: dict[str, Any], player: Player) -> Replay | None:
+def replay_of(found: dict[str, Any], player: EvaluationSetup) -> Replay | None:
     """Repeat the evaluation with a new player and record two episodes.
 
     They are the first initial condition, equal for all runs, and the first one with the opposite
@@ -85,7 +86,7 @@ def path_of(card: Path) -> Path:
     """Path of the replay of a run: OUT/replays mirrors OUT/cells; a UserError elsewhere."""
     folders = card.absolute().parents
     if len(folders) < 3 or folders[1].name != "cells":
-        raise UserError(f"{card}: a replay is kept beside a card of OUT/cells/ALGORITHM")
+        raise UserError(f"{card}: a replay belongs to a record in OUT/cells/ALGORITHM")
     return folders[2] / "replays" / folders[0].name / card.name
 
 
@@ -107,9 +108,9 @@ def read_replay(path: Path, found: dict[str, Any]) -> dict[int, Encoded]:
             raise ValueError("changed, or of other results")
         kept = {int(start): Encoded(**one) for start, one in replay["starts"].items()}
         if not all(_TEXT.fullmatch(one.text) for one in kept.values()):
-            raise ValueError("its text is no base64")
+            raise ValueError("its text is not base64")
     except FileNotFoundError:
         return {}
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise UserError(f"{path}: no replay of its card ({error}); remove it") from error
+        raise UserError(f"{path}: not the replay of its record ({error}); remove it") from error
     return kept

@@ -31,10 +31,10 @@ IMPROVEMENT = ("algorithm", "against", "probability", "low", "high")
 WIDTH = 175
 """Width of the table, characters."""
 _LEVELS = np.linspace(0.0, 1.0, 101)
-Card = Mapping[str, Any]
+RunRecord = Mapping[str, Any]
 
 
-def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
+def scores_of(cards: Sequence[RunRecord], name: str) -> NDArray[np.float64]:
     """Mean of "collision_free" or "time" over initial conditions for one algorithm, (S, F).
 
     Rows are the first S runs of each of F scenarios, with S the number available in all of them.
@@ -45,7 +45,7 @@ def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
     return np.array(list(zip(*means, strict=False)))
 
 
-def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
+def rows_of(cards: Sequence[RunRecord]) -> list[dict[str, Any]]:
     """Rows of leaderboard.csv, sorted by collision-free success."""
     rows = []
     for name, own in grouped(cards, "algorithm").items():
@@ -65,7 +65,7 @@ def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (-row["collision_free"], row["time"]))
 
 
-def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
+def improvements(cards: Sequence[RunRecord]) -> list[dict[str, Any]]:
     """Rows of improvement.csv: each pair of algorithms once, on their common scenarios."""
     own, rows, chance = grouped(cards, "algorithm"), [], statistics.probability_of_improvement
     for pair in combinations(own, 2):
@@ -112,7 +112,7 @@ def text(rows: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
+def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[RunRecord]) -> str:
     """README of the folder: the table, definitions, and the command that repeats a run."""
     seeds = len({card["seed"] for card in cards})
     fields = ", ".join(sorted({card["field"] for card in cards}))
@@ -122,7 +122,7 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
     minutes = sum(card["learning_s"] + card["playing_s"] for card in cards) / 60.0
     return (
         f"# Leaderboard\n\n{fields}; {counted(seeds, 'seed')}; {most:,} decisions of robots for "
-        f"each learner; {counted(cards[0]['starts'], 'held-out initial condition')} a run; "
+        f"each learner; {counted(cards[0]['episodes'], 'held-out initial condition')} a run; "
         f"{minutes:.0f} minutes in all, run after run.\n\n"
         f"{told}\n\nInterquartile means over runs with 95 % intervals, a bootstrap over seeds "
         "stratified by scenario; methods without learning have one run per scenario. V rose: robot "
@@ -135,7 +135,7 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
 
 
 @style.styled
-def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) -> None:
+def draw(out: Path, cards: Sequence[RunRecord], rows: Sequence[Mapping[str, Any]]) -> None:
     """Draw price.png and profiles.png.
 
     price.png shows collision-free success and time against the rate of increases of V; profiles.png
@@ -143,7 +143,7 @@ def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) ->
     """
     from matplotlib import colormaps
 
-    # those from the eleventh on are lighter
+    # lighter from the eleventh on
     colours = [colormaps["tab20"](2 * (k % 10) + (k // 10) % 2) for k in range(len(rows))]
     price, profiles = style.new_figure(style.PAGE, 3.2), style.new_figure(style.PAGE, 3.2)
     marks = {"none": "o", "heading": "s", "tank": "D"}

@@ -167,14 +167,14 @@ def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | Non
         own = Config.from_plain(about["config"])
         trained = Scenario.from_plain(about["scenario"])
     except (KeyError, TypeError, ValueError, UserError) as error:
-        raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error
+        raise CheckpointError(f"{place}: is not a checkpoint of a run: {error}") from error
     if not same_run(config, own):
-        raise UserError(f"--resume {folder}: {place} is of another run than {CONFIG} tells of")
+        raise UserError(f"--resume {folder}: {place} belongs to another run than {CONFIG}")
     now, names = config.base_scenario(), [field.name for field in fields(Scenario)]
     if other := [name for name in names if getattr(now, name) != getattr(trained, name)]:
         raise UserError(
-            f"--resume {folder}: scenario {config.scenario} is no longer what it was at {place}: "
-            f"other {', '.join(other)}; put that back, or begin a new run"
+            f"--resume {folder}: scenario {config.scenario} has changed since {place}: "
+            f"other {', '.join(other)}; restore it, or begin a new run"
         )
     console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
     return config, place
@@ -188,7 +188,7 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
             checkpoints.read(place, STATE_FILES)
         except CheckpointError as error:
             wrong = wrong or error
-            console.print(f"{error}; left out")
+            console.print(f"{error}; skipped")
         else:
             return place
     if wrong is not None:
@@ -198,10 +198,11 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
 
 def write_failure(folder: Path, error: OSError) -> str:
     """Message about a failed write that names the last valid checkpoint."""
-    file = error.filename2 or error.filename or folder  # of a renaming the first is temporary
+    file = error.filename2 or error.filename or folder  # the first name of a renaming is temporary
     said = f"cannot write {file}: {error.strerror or error}"
     try:
         place = checkpoints.find(folder)
     except CheckpointError:
         return f"{said}; there is no checkpoint yet"
-    return f"{said}; the last good checkpoint is {place}: put that right, then --resume {folder}"
+    remedy = f"fix the error, then --resume {folder}"
+    return f"{said}; the last valid checkpoint is {place}: {remedy}"

@@ -18,6 +18,7 @@ from . import ppo
 from .settings import CONFIG, check, read_config, same_run
 from .settings import EXAMPLES as EXAMPLES
 from .settings import FLAG_GROUPS as SETTINGS_GROUPS
+from .settings import FORMER_FLAGS as FORMER_FLAGS
 from .settings import Config as Settings
 
 FLAG_GROUPS = {"Several seeds": ("seeds", "jobs", "on", "address"), **SETTINGS_GROUPS}
@@ -41,7 +42,7 @@ def run(config: Config) -> int:
     runs = runs_of(settings, config.seeds)
     results.prepare_folder(settings.out)
     console = Console(soft_wrap=True)
-    console.print(f"{counted(len(runs), 'run')}; {_log_of(runs[0])} and so on tell of them")
+    console.print(f"{counted(len(runs), 'run')}; {_log_of(runs[0])} and so on have the output")
     try:
         with closing(parallel_map(_train, runs, config, _stays_here, long=True)) as found:
             for number, status in found:
@@ -62,7 +63,7 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
     """
     if len(set(seeds)) < len(seeds):
         raise UserError(f"--seeds {format_argument(seeds)}: name each once")
-    check_unused(settings, dict.fromkeys(("seed", "resume"), "--seeds says which runs there are"))
+    check_unused(settings, dict.fromkeys(("seed", "resume"), "--seeds determines the runs"))
     runs = []
     for seed in seeds:
         threads, out = settings.num_threads or 1, settings.out / f"seed-{seed}"
@@ -70,7 +71,7 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
         check(one)
         if (out / CONFIG).exists():
             if not same_run(one, read_config(out)):
-                raise UserError(f"{out} holds a run of other settings; choose another --out")
+                raise UserError(f"{out} contains a run of other settings; choose another --out")
             one = replace(one, resume=out)
         runs.append(one)
     return runs

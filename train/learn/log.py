@@ -58,7 +58,7 @@ class Table:
 
     def _damaged(self, what: str) -> UserError:
         return UserError(
-            f"{self._path}: {what}; mend it, or move it away to go on without its rows"
+            f"{self._path}: {what}; repair it, or move it away to continue without its rows"
         )
 
     def begin(self) -> None:
@@ -83,21 +83,21 @@ class Result:
     folder: Path
     """Folder of the run: ``learned_policy.load`` reads its policy, ``Config(resume=folder)``
     resumes."""
-    status: int  # 0, or 128 + the number of the signal that ended it
+    status: int  # 0, or 128 + signal number
     stopped: bool  # whether ``on_update`` ended it
-    steps: int  # decisions of all robots so far, those before a resumption too
-    metrics: Row  # row of metrics.csv of the last update; empty if there was none
+    steps: int  # decisions of all robots so far, over all resumptions
+    metrics: Row  # row of metrics.csv of the last update, if any
     evaluations: tuple[Row, ...]
     """Rows of evaluation.csv, those before a resumption too; NaN where a cell is empty."""
 
     @property
     def final(self) -> tuple[Row, ...]:
-        """The last evaluation, a row for each scenario; empty without one."""
+        """Last evaluation, one row per scenario; empty without one."""
         return max(self._by_step(), key=lambda rows: rows[0]["step"], default=())
 
     @property
     def best(self) -> tuple[Row, ...]:
-        """The evaluation with the largest ``score``, the first of equals; empty without one."""
+        """Evaluation with the largest ``score``, the first of equals; empty without one."""
         return max(self._by_step(), key=score, default=())
 
     def _by_step(self) -> list[tuple[Row, ...]]:
@@ -105,15 +105,16 @@ class Result:
 
 
 def score(rows: tuple[Row, ...]) -> float:
-    """Mean collision-free success over the scenarios of an evaluation, 0–1; plain success where
-    robots pass through obstacles.
+    """Mean collision-free success over the scenarios of an evaluation, 0–1.
+
+    Plain success where robots pass through obstacles.
     """
     shares = ((row["collision_free_success"], row["success"]) for row in rows)
     return fmean(success if math.isnan(clean) else clean for clean, success in shares)
 
 
 def read_evaluations(path: Path, step: int) -> tuple[Row, ...]:
-    """The rows of an evaluation.csv up to a step."""
+    """Rows of an evaluation.csv up to a step."""
 
     def value_of(name: str, cell: str) -> Any:
         if name in ("scenario", "policy"):

@@ -82,7 +82,7 @@ class HeadingNetwork(ActorCriticPolicy):
         log_probs = preferences.T.log_softmax(dim=0)  # sums over choices are sums of vectors
         if deterministic:
             choices = log_probs.argmax(dim=0)
-        else:  # the first choice up to which the chances pass a number between 0 and 1
+        else:  # inverse transform sampling
             passed = log_probs.exp().cumsum(dim=0)
             drawn = torch.rand(len(values), device=values.device) * passed[-1]
             choices = (passed[:-1] <= drawn).sum(dim=0)
@@ -154,8 +154,9 @@ class GlobalStateLayout(NamedTuple):
     def states(
         self, simulator: Simulator, towards: NDArray[Any], levels: Floats
     ) -> NDArray[np.float32]:
-        """Global states (B, n, size) of teams in the plane, see ``GlobalState``: each from a
-        robot's position, in its frame with x along f; zeros for merged robots.
+        """Global states (B, n, size) of planar environments, see ``GlobalState``.
+
+        Each is relative to a robot's position, in its frame with x along f; zero for merged robots.
         """
         positions, active, table = simulator.positions, simulator.active, simulator.obstacles
         axes, (batch, n) = _axes(simulator.frames, towards), active.shape
@@ -169,7 +170,7 @@ class GlobalStateLayout(NamedTuple):
         there[..., :2] = _seen_from(positions, axes, table[..., CENTRE : CENTRE + 2])
         there[..., 2] = table[:, np.newaxis, :, RADIUS] / FAR
         there *= (table[..., RADIUS] > 0.0)[:, np.newaxis, :, np.newaxis]
-        start = simulator.initial_lyapunov  # 0 where sight makes edges and nobody sees anybody
+        start = simulator.initial_lyapunov  # 0 on a proximity graph without edges
         left = simulator.lyapunov() / np.where(start > 0.0, start, np.inf)
         context[:] = np.stack((left, simulator.steps / simulator.max_steps), axis=-1)[:, np.newaxis]
         return (states * active[..., np.newaxis]).astype(np.float32)

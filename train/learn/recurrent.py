@@ -25,7 +25,7 @@ class Sequences(NamedTuple):
     observations: Tensor  # (T, S, size)
     starts: Tensor  # (T, S), 1 where an episode began with this decision, else 0
     hidden: Tensor  # (S, units), memory before the first decision
-    kept: Tensor  # (T, S), bool: decisions that are samples; else the robot was merged away
+    kept: Tensor  # (T, S), bool: decisions that are samples; the robot was merged in others
 
 
 class RecurrentNetwork(SplitNetwork):
@@ -39,7 +39,7 @@ class RecurrentNetwork(SplitNetwork):
     hidden: Tensor  # h of every slot, (slots, units); empty before ``begin``
 
     def __init__(self, *arguments: Any, units: int, **settings: Any) -> None:
-        self.units = units  # the layers, which super() builds, need it
+        self.units = units  # needed by the layers that super() builds
         super().__init__(*arguments, **settings)
         self.begin(0)
 
@@ -157,18 +157,18 @@ class RecurrentRobotPPO(HeadingPPO):
 
 
 def learner_of(
-    config: Config, teams: FeatureVectorEnv
+    config: Config, env: FeatureVectorEnv
 ) -> tuple[type[HeadingPPO], type[HeadingNetwork], dict[str, Any]]:
     """Algorithm class, network class, and arguments of the network apart from its spaces."""
     usual = {"heading": 3.0, "tank": 0.0, "none": 0.0}[config.guarantee]
     prior = usual if config.prior is None else config.prior
     settings = network_settings(
-        teams.layout, set_width=config.set_width, hidden=config.hidden, prior=prior
+        env.layout, set_width=config.set_width, hidden=config.hidden, prior=prior
     )
     network: type[HeadingNetwork] = HeadingNetwork
-    if teams.global_state is not None:
+    if env.global_state is not None:
         network, settings["features_extractor_class"] = SplitNetwork, GlobalFeatures
-        settings["features_extractor_kwargs"]["state"] = teams.global_state
+        settings["features_extractor_kwargs"]["state"] = env.global_state
     if config.memory == "recurrent":
         return RecurrentRobotPPO, RecurrentNetwork, settings | {"units": config.memory_units}
     return HeadingPPO, network, settings

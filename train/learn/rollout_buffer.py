@@ -119,7 +119,7 @@ class RobotPPO(PPO):
     rollout_buffer: RobotRolloutBuffer
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
-        with warnings.catch_warnings():  # our buffer gives batches of nearly equal size
+        with warnings.catch_warnings():  # this buffer makes batches of nearly equal size
             warnings.filterwarnings("ignore", message="You have specified a mini-batch size")
             super().__init__(*arguments, **settings)
 
@@ -142,13 +142,15 @@ class RobotPPO(PPO):
             robots.tell_bootstraps = True
 
     def _update_info_buffer(self, infos: Any, dones: Any = None) -> None:
-        told = [slot for slot, info in enumerate(infos) if info]  # few are
+        told = [slot for slot, info in enumerate(infos) if info]  # few infos have them
         super()._update_info_buffer([infos[slot] for slot in told], dones[told])
 
 
 class HeadingPPO(RobotPPO):
-    """``RobotPPO`` for a ``HeadingNetwork``. Advantages are normalised over an update, not over
-    each batch; target_kl and clip_range_vf have no effect.
+    """``RobotPPO`` for a ``HeadingNetwork``.
+
+    Advantages are normalised over an update, not over each batch; target_kl and clip_range_vf have
+    no effect.
     """
 
     policy: HeadingNetwork
@@ -165,7 +167,7 @@ class HeadingPPO(RobotPPO):
         policy, buffer = self.policy, self.rollout_buffer
         self._update_learning_rate(policy.optimizer)
         clip: float = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
-        rule, told = Rule(clip, self.vf_coef, self.ent_coef), []
+        rule, told = LossCoefficients(clip, self.vf_coef, self.ent_coef), []
         buffer.begin(self.normalize_advantage)
         with side_by_side(self.device) as each:
             for _ in range(self.n_epochs):
@@ -178,7 +180,7 @@ class HeadingPPO(RobotPPO):
         self.logger.record("train/explained_variance", fitted)
 
     def _descend(
-        self, parts: Sequence[Tensor], rule: Rule, each: Callable[..., Any]
+        self, parts: Sequence[Tensor], rule: LossCoefficients, each: Callable[..., Any]
     ) -> NDArray[np.float64]:
         """One optimizer step; returns batch means, in the order of ``_MEASURED``."""
         weights = list(self.policy.parameters())
@@ -217,7 +219,7 @@ def side_by_side(device: torch.device) -> Iterator[Callable[..., Iterator[Any]]]
         torch.set_num_threads(threads)
 
 
-class Rule(NamedTuple):
+class LossCoefficients(NamedTuple):
     """Coefficients of the PPO loss."""
 
     clip_range: float
@@ -226,7 +228,7 @@ class Rule(NamedTuple):
 
 
 def slopes_of(
-    judged: Sequence[Tensor], samples: RolloutBufferSamples, rule: Rule
+    judged: Sequence[Tensor], samples: RolloutBufferSamples, rule: LossCoefficients
 ) -> tuple[list[Tensor], NDArray[np.float64]]:
     """Gradients of the summed loss w.r.t. logits (N, choices) and values (N, 1); N and sums."""
     slopes = [torch.empty(tensor.shape) for tensor in judged]

@@ -21,7 +21,7 @@ def check_ranges(ranges: Ranges, chance: float) -> None:
             low, high = given
             raise ValueError(f"sensing.{name} is from {low} to {high}; it must be LOW ≤ HIGH")
     if "delay" in ranges and "delay_time" in ranges:
-        raise ValueError("sensing.delay and sensing.delay_time have a range; leave one of them out")
+        raise ValueError("sensing.delay and sensing.delay_time both have a range; omit one of them")
     if not 0.0 <= chance <= 1.0:
         raise ValueError(f"chance is {chance}; it must be in [0, 1]")
 

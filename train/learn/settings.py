@@ -61,14 +61,18 @@ FLAG_GROUPS = {
     "Domain randomisation of sensors": (*(f"sensing_{name}" for name in _SAMPLED), *_HOW_SAMPLED),
     "Rewards": (*_REWARDS, "own_progress", "contact_penalty"),
     "Evaluation and machine": (
-        "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
+        "eval_every", "eval_episodes", "eval_scenarios", "checkpoint_every", "tensorboard",
         "num_threads", "device",
     ),
 }  # fmt: skip
 
 
-_RENAMED = {"num_teams": "num_envs", "touch_penalty": "contact_penalty"}
+_RENAMED = {
+    "num_teams": "num_envs", "touch_penalty": "contact_penalty", "eval_starts": "eval_episodes"
+}  # fmt: skip
 """Deprecated names of settings, in calls and in stored runs."""
+FORMER_FLAGS = {flag(former): flag(name) for former, name in _RENAMED.items()}
+"""Deprecated flags."""
 
 
 class DefaultInt(int):
@@ -94,14 +98,14 @@ class Config(Flags):
     """Folder of the run."""
     resume: Path | None = None
     """Folder of a run to resume. Its stored settings apply, except total-steps, eval-every,
-    eval-starts, checkpoint-every and num-threads if given."""
+    eval-episodes, checkpoint-every and num-threads if given."""
     start_from: Path | None = None
     """Run or checkpoint that provides the initial weights."""
 
     set: tuple[str, ...] = ()
     """Overrides of scenario fields, for example n_robots=9 time_limit=60."""
 
-    num_envs: Annotated[int, Bounds(1), arg(aliases=("--num-teams",))] = 256
+    num_envs: Annotated[int, Bounds(1)] = 256
     """Number of environments simulated in parallel."""
     n_steps: Annotated[int, Bounds(2)] = 16
     """Number of decisions of each robot between updates."""
@@ -140,7 +144,7 @@ class Config(Flags):
     """Maximum turn rate of the certified heading, rad/s."""
     guarantee: Literal["heading", "tank", "none"] = "heading"
     """Safety filter: certified headings (theorem C), one energy tank per robot (theorem D), or
-    none. Without one, unicycles choose speed and turn rate from the bearings that they remember."""
+    none. Without one, unicycles choose speed and turn rate from remembered bearings."""
     budget: Annotated[float, Bounds(0, 1e9)] = 0.0
     """Initial stored energy of each tank, m²/s; the policy stores it in units of r D̄."""
     memory: Literal["none", "features", "recurrent"] = "none"
@@ -197,15 +201,15 @@ class Config(Flags):
     """Cost of an episode that reaches the time limit, spread evenly over its steps."""
     collision_penalty: float | None = None
     """Team cost per robot in contact and environment step."""
-    contact_penalty: Annotated[float, Bounds(0), arg(aliases=("--touch-penalty",))] = 1.0
+    contact_penalty: Annotated[float, Bounds(0)] = 1.0
     """Cost of a robot's first contact in an episode."""
     rendezvous_bonus: float | None = None
     """Team reward at rendezvous."""
 
     eval_every: Annotated[int, Bounds(0, 2**62)] = DefaultInt(500_000)
     """Number of decisions between evaluations; 0 disables evaluation."""
-    eval_starts: Annotated[int, Bounds(1, 2**32)] = DefaultInt(200)
-    """Number of held-out initial conditions in an evaluation."""
+    eval_episodes: Annotated[int, Bounds(1, 2**32)] = DefaultInt(200)
+    """Number of episodes of an evaluation, from held-out initial conditions."""
     eval_scenarios: tuple[str, ...] = ()
     """Evaluation scenarios. Default: the training scenario."""
     checkpoint_every: Annotated[int, Bounds(1, 2**62)] = DefaultInt(500_000)
@@ -280,7 +284,7 @@ class Config(Flags):
         if not self.curriculum:
             return scenario
         if not isinstance(scenario.obstacles, ObstacleField):
-            raise UserError(f"--curriculum: {scenario.name} draws no obstacles; leave it out")
+            raise UserError(f"--curriculum: {scenario.name} samples no obstacles; omit it")
         most = self.curriculum[stage]
         fewest = most if self.fewest_obstacles is None else min(self.fewest_obstacles, most)
         return scenario.replace(obstacles=replace(scenario.obstacles, count=(fewest, most)))
@@ -302,7 +306,7 @@ class Config(Flags):
 
 
 _MOST_SAMPLES = 2**31
-MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
+MAY_CHANGE = ("total_steps", "eval_every", "eval_episodes", "checkpoint_every", "num_threads")
 """Fields that a resumed run may change."""
 
 
@@ -319,7 +323,7 @@ def check(config: Config) -> None:
 def _check_unused(config: Config) -> None:
     """Refuse a flag that has no effect without another one."""
     ranges = config.sensing_ranges()
-    with user_error("--sensing-… draws sensors: ", ValueError):
+    with user_error("--sensing-… samples sensors: ", ValueError):
         check_ranges(ranges, config.sensing_chance)
     if ranges and config.sensing_groups > config.num_envs:
         raise UserError(
@@ -332,13 +336,13 @@ def _check_unused(config: Config) -> None:
         if config.memory == "features":
             unused["memory"] = unused["budget"]
     if config.guarantee == "none":
-        filtered = "no filter reads it: leave --guarantee none out"
+        filtered = "no filter uses it: omit --guarantee none"
         unused |= dict.fromkeys(("clearance", "persistence", "min_alignment"), filtered)
         unused["max_turn_rate"] = filtered
     if config.memory != "recurrent":
         unused["memory_units"] = "there are none without --memory recurrent"
     if not ranges:
-        why = "no sensors are drawn: add a range, as --sensing-noise"
+        why = "no sensors are sampled: add a range, as --sensing-noise"
         unused |= dict.fromkeys(_HOW_SAMPLED, why)
     check_unused(config, unused)
 
@@ -375,14 +379,14 @@ def read_config(folder: Path) -> Config:
         return Config.from_plain(read_json(path))
     except (OSError, ValueError, UserError) as error:
         what = f"{path}: {getattr(error, 'strerror', None) or error}"
-        raise UserError(f"--resume {folder}: it holds no run that can go on: {what}") from error
+        raise UserError(f"--resume {folder}: it contains no run to resume: {what}") from error
 
 
 def resumed(config: Config, stored: Config) -> Config:
     """The stored settings of a run, with changes of ``MAY_CHANGE``; a UserError for another one."""
     default, folder, changed = Config(), config.resume or config.out, {}
     if config.out.resolve() not in (default.out.resolve(), folder.resolve()):
-        raise UserError(f"--out is {config.out}; {folder} goes on in its own folder: leave it out")
+        raise UserError(f"--out is {config.out}; {folder} resumes in its own folder: omit it")
     for name in (field.name for field in fields(Config)):
         given, kept = getattr(config, name), getattr(stored, name)
         if name in MAY_CHANGE:
@@ -390,8 +394,7 @@ def resumed(config: Config, stored: Config) -> Config:
         elif name not in ("out", "resume") and given not in (getattr(default, name), kept):
             raise UserError(
                 f"{flag(name)} is {format_argument(given)}; {folder} was trained with "
-                f"{format_argument(kept)}: "
-                "leave it out, or begin a new run"
+                f"{format_argument(kept)}: omit it, or begin a new run"
             )
     return replace(stored, **changed, out=folder, resume=None)
 

@@ -32,6 +32,7 @@ from ..policies import resolve_scenario
 from ..resume import claimed
 from . import checkpoint
 from .checkpoint import STATE_FILES, flatten, tensors, unflatten
+from .environments import TimedRobotVecEnv, make_environments
 from .log import (
     EVALUATION,
     METRICS,
@@ -43,7 +44,6 @@ from .log import (
 )
 from .recurrent import learner_of
 from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
-from .teams import TimedRobotVecEnv, make_environments
 
 _DOES_NOT_FIT = (
     KeyError, TypeError, ValueError, RuntimeError, IndexError, AttributeError, OverflowError,
@@ -73,9 +73,9 @@ class Trainer:
         self.settings = config.policy_settings()
         self.stage = 0
         self.robots = TimedRobotVecEnv(make_environments(config, 0))
-        algorithm, network, arguments = learner_of(config, self.robots.teams)
+        algorithm, network, arguments = learner_of(config, self.robots.vector_env)
 
-        def learning_rate(_: float) -> float:  # the model asks for it while it is made, too
+        def learning_rate(_: float) -> float:  # the model needs it in its constructor, too
             done = self.model.num_timesteps / config.total_steps if hasattr(self, "model") else 0.0
             return config.learning_rate * max(1.0 - done, _LEAST_RATE)
 
@@ -116,7 +116,7 @@ class Trainer:
         out = self.config.out
         self._metrics = Table(out / "metrics.csv", METRICS, step)
         self._evaluations = Table(out / "evaluation.csv", EVALUATION, step)
-        results.write_json(out / CONFIG, self.config.to_plain())  # nothing is refused from here on
+        results.write_json(out / CONFIG, self.config.to_plain())  # no errors from here on
         self._metrics.begin()
         self._evaluations.begin()
         self.events = None
@@ -143,8 +143,8 @@ class Trainer:
             moments = {int(number): tensors(arrays) for number, arrays in kept.items()}
             optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
             state = unflatten(tables["state"])
-            if isinstance(state.get("robots"), dict):  # runs of older versions kept none
-                state["robots"].setdefault("told", np.zeros(self.robots.slots.num_teams, np.int64))
+            if isinstance(state.get("robots"), dict):  # runs of older versions have none
+                state["robots"].setdefault("told", np.zeros(self.robots.slots.batch_size, np.int64))
             checkpoint.check_fits(state, self.robots, model.policy)
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
@@ -207,8 +207,8 @@ class Trainer:
         self._environment_seconds += robots.seconds
         if not all(torch.isfinite(weights).all() for weights in model.policy.parameters()):
             raise UserError(
-                f"training diverged: not all weights are finite after step {model.num_timesteps}; "
-                f"begin again with a --learning-rate below {config.learning_rate}"
+                f"training diverged: weights are not finite after step {model.num_timesteps}; use "
+                f"a --learning-rate below {config.learning_rate}"
             )
         return int(model.num_timesteps)
 
@@ -245,7 +245,7 @@ class Trainer:
                 scenario,
                 partial(LearnedPolicy, scenario, weights, settings),
                 margin=None if scenario.model.nonholonomic else settings.promised_margin,
-                episodes=config.eval_starts,
+                episodes=config.eval_episodes,
                 seed=EVALUATION_SEEDS,
             )
             numbers = statistics.summarise(scenario, "learned", episodes)
@@ -259,11 +259,11 @@ class Trainer:
     def speed(self) -> str:
         """Environment time since this process started or resumed the run."""
         if not self._seconds:
-            return "nothing was left to do"
+            return "the run was already complete"
         share = 100.0 * self._environment_seconds / self._seconds
         return (
-            f"{share:.0f} % of the time in the environment; the same PPO on one that costs nothing "
-            f"would have taken the other {100.0 - share:.0f} %"
+            f"{share:.0f} % of the time in the environment; the remaining {100.0 - share:.0f} % "
+            "are PPO itself"
         )
 
     def _wall(self) -> float:
@@ -278,9 +278,9 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
     folder = config.resume or config.out
     try:
         if config.resume is not None:
-            read_config(folder)  # so that nothing is made where no run is
+            read_config(folder)  # before anything is created
         elif checkpoints.candidates(folder):
-            raise UserError(f"--out {folder} holds a run; --resume it, or choose another folder")
+            raise UserError(f"--out {folder} contains a run; --resume it, or choose another folder")
         with interrupts.raised("train"), claimed(folder, ".lock", str(folder)):
             config, place = checkpoint.where_to_begin(config, console)
             _check_device(config.device)
@@ -308,7 +308,7 @@ def _check_device(device: str) -> None:
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         said = str(error).partition("\n")[0]
-        raise UserError(f"--device is {device!r}: {said}; cpu is always there") from error
+        raise UserError(f"--device is {device!r}: {said}; cpu is always available") from error
 
 
 def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | None) -> Result:
@@ -337,9 +337,10 @@ def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | 
                     told["evaluation"] = [with_former_names(one) for one in evaluation]
                     stopped = on_update(row["update"], told) is True
     except KeyboardInterrupt as error:
-        training.save(kept)  # rows of later steps are cut off when the run goes on
+        training.save(kept)  # rows of later steps are removed on resumption
         step = kept[0]["step"]
-        console.print(f"stopped at step {step:,}; rendezvous train --resume {config.out} goes on")
+        resume = f"rendezvous train --resume {config.out}"
+        console.print(f"stopped at step {step:,}; resume with {resume}")
         status = interrupts.status_of(error)
     else:
         if not saved:

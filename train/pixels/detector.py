@@ -26,10 +26,10 @@ _WIDEST = 96
 """Maximum width of a detected obstacle, columns; wider ones are split."""
 
 
-class Found(NamedTuple):
+class Detections(NamedTuple):
     """Detections of one camera sweep, in the robot's frame."""
 
-    colours: list[int]  # which lamps are seen whole, by number
+    colours: list[int]  # indices of complete lamps
     bearings: NDArray[np.float64]  # of their middles, (k,), rad
     edges: NDArray[np.float64]  # counter-clockwise and clockwise, of obstacles in range, (m, 2)
 
@@ -49,7 +49,7 @@ class Detector:
         self._hues /= np.linalg.norm(self._hues, axis=1, keepdims=True)
         self._height, self._reach = height, reach
 
-    def find(self, pictures: NDArray[np.uint8]) -> Found:
+    def find(self, pictures: NDArray[np.uint8]) -> Detections:
         """Detections in images (cameras, rows, columns, 3); camera k faces k 2π/cameras.
 
         The images are concatenated counter-clockwise to a closed panorama.
@@ -65,7 +65,7 @@ class Detector:
         whole = {c: bearing for c, bearing in found.items() if bearing is not None}
         dark = (brightest < _DARK) & ~coloured
         edges = self._obstacles(ring, dark, coloured.any(axis=0))
-        return Found(list(whole), np.array(list(whole.values())), edges)
+        return Detections(list(whole), np.array(list(whole.values())), edges)
 
     def _obstacles(
         self, ring: _Ring, dark: NDArray[np.bool_], behind_lamp: NDArray[np.bool_]
@@ -120,7 +120,7 @@ class _Ring:
 
 def stretches(there: NDArray[Any]) -> list[NDArray[np.int64]]:
     """Indices of each run of true values in a ring, in order."""
-    start = int(np.argmin(there))  # what is false, if anything
+    start = int(np.argmin(there))  # false values, if any
     order = (np.arange(len(there)) + start) % len(there)
     places = np.flatnonzero(there[order])
     runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)

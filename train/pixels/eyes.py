@@ -125,7 +125,7 @@ class Eyes:
 
 def _world(scenario: Any, discs: int) -> str:
     """MuJoCo model: robots as mocap bodies, their cameras, obstacles and a floor."""
-    half = max(scenario.spawn_edges)  # farther off than robots go that seek each other
+    half = max(scenario.spawn_edges)  # beyond the reach of robots
     lamps = "".join(
         f'<material name="lamp{i}" emission="1" rgba="{r / 255} {g / 255} {b / 255} 1"/>'
         for i, (r, g, b) in enumerate(LAMPS)

@@ -44,7 +44,7 @@ class LastSeen:
         seeking = self._since > self._patience
         rows[seeking] = 0.0
         sought = self._tau * (self._since - self._patience)[seeking]  # s
-        # ways of 3, 5, 7, … s: in those of equal length two robots circle, each in its own place
+        # legs of 3, 5, 7, … s: with legs of equal length two robots would circle separately
         rows[seeking, 0] = unit(_TURN * (np.floor(np.sqrt(1.0 + sought)) - 1.0))
         return self._policy(shown, time)
 

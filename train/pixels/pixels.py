@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rendezvous_env.baselines.robot_sight import RobotSight
+from rendezvous_env.baselines.observation_builder import ObservationBuilder
 
 from rendezvous_env.deprecation import renamed_attribute
 from rendezvous_env.engine.memory import RENDEZVOUS
@@ -21,7 +21,7 @@ from rendezvous_env.simulator import Simulator
 
 from ..compare import evaluation
 from ..compare.statistics import fraction_interval
-from .detector import Detector, Found
+from .detector import Detections, Detector
 from .eyes import HEIGHT, LAMPS, Eyes
 from .last_seen import make, unit
 
@@ -37,9 +37,9 @@ SCENARIO = Scenario(
     obstacle_slots=24,
 )
 """``clutter-8`` at half its size, with lamps of diameter 0.4 m as robots."""
-POLICIES = ("bearing-only", "tangent-joined-tuned", "learned", "learned-tank")
+POLICIES = ("bearing-only", "tangent-merged-tuned", "learned", "learned-tank")
 
-Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Found | None]], None]
+Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Detections | None]], None]
 """Callback before every step: simulator, cameras, images, detections."""
 
 
@@ -51,7 +51,7 @@ class Episode:
     collision_free: bool
     time: float  # simulated, s
     steps: int
-    work: float  # time of a core to draw, look, decide and move, s
+    work: float  # core time for rendering, detection, policy and motion, s
 
     clean = renamed_attribute("clean", "collision_free")
 
@@ -67,7 +67,7 @@ def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Ep
         for seed in seeds:
             simulator.reset(seed)
             driver.reset()
-            sights = [RobotSight(layout, SCENARIO.max_degree) for _ in range(n)]
+            builders = [ObservationBuilder(layout, SCENARIO.max_degree) for _ in range(n)]
             began, steps = time.process_time(), 0
             while not simulator.ended[0]:
                 eyes.place()
@@ -79,7 +79,7 @@ def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Ep
                 for i, found in enumerate(seen):
                     if found is not None:
                         edges = found.edges[: layout.obstacle_slots]
-                        rows[0, i] = sights[i].rows(unit(found.bearings), unit(edges), None)
+                        rows[0, i] = builders[i].rows(unit(found.bearings), unit(edges), None)
                 simulator.step(driver(rows, float(simulator.time[0])))
                 steps += 1
             met = bool(simulator.status[0] == RENDEZVOUS)

@@ -21,7 +21,7 @@ from ..console import Console
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import write_text
-from . import board
+from . import leaderboard
 from .input import Comparison, half_written, read
 from .skeleton import PLAYER, Replay, assemble, elements, figures, part, player_data, terms
 
@@ -29,7 +29,7 @@ _OUTCOME = (
     "success", "collision_free", "time", "path_length", "contacts", "clearance", "min_alignment",
 )  # fmt: skip
 """Columns of episodes.csv shown with a replay."""
-_NOTHING_KEPT = "No episode was kept (--keep-trajectories 0), so there is nothing to replay."
+_NOTHING_KEPT = "No episode was recorded (--keep-trajectories 0), so there is no replay."
 
 EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 
@@ -60,15 +60,15 @@ def run(config: Config) -> int:
 
 def _page_of(folder: Path) -> tuple[str, str]:
     """Page of a comparison or a leaderboard, and a note for the terminal."""
-    command = "leaderboard" if board.is_one(folder) else "compare"
+    command = "leaderboard" if leaderboard.is_one(folder) else "compare"
     try:
         if command == "leaderboard":
-            return board.page(folder), ""
+            return leaderboard.page(folder), ""
         found = read(folder)
         return page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
     except UserError:
         raise
-    except Exception as error:  # its digests were made to fit what the command has not written
+    except Exception as error:  # valid digests, but not written by the command
         what = f"not readable ({type(error).__name__}: {error})"
         raise half_written(folder, what, command) from error
 
@@ -76,7 +76,10 @@ def _page_of(folder: Path) -> tuple[str, str]:
 def page(found: Comparison) -> str:
     """The page as HTML."""
     encoded = encode_all(list(found.recordings.values()))
-    outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
+    outcomes = {
+        (row["scenario"], row["policy"], int(row["initial_condition"])): row
+        for row in found.episodes
+    }
     shown = [
         Replay(*key, vars(one), {name: outcomes[key][name] for name in _OUTCOME})
         for key, one in zip(found.recordings, encoded, strict=True)
@@ -133,12 +136,13 @@ def rankings(found: Comparison) -> list[Ranking]:
 def _counts(found: Comparison) -> str:
     """Numbers of scenarios, policies and initial conditions, as text."""
     policies = {name for played in found.run["policies"].values() for name in played}
-    first, count, starts = found.run["seed"], found.run["episodes"], found.run["starts"].items()
+    first, count = found.run["seed"], found.run["episodes"]
+    counts = found.run["initial_conditions"].items()
     seeds = f"seeds {first}–{first + count - 1}" if count > 1 else f"seed {first}"
     said = f"{counted(count, 'initial condition')} each ({seeds})"
-    if single := [name for name, own in starts if own == 1 < count]:
+    if single := [name for name, own in counts if own == 1 < count]:
         said += f"; one of {', '.join(single)}, whose initial condition is given"
-    said += "".join(f"; {own} of {name}" for name, own in starts if 1 < own < count)
+    said += "".join(f"; {own} of {name}" for name, own in counts if 1 < own < count)
     return (
         f"{counted(len(found.scenarios), 'scenario')}, {counted(len(policies), 'policy')}, {said}"
     )
@@ -151,8 +155,8 @@ def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
         "Command": shlex.join(run["command_line"]),
         "Versions": ", ".join(f"{name} {version}" for name, version in run["versions"].items()),
         "Machine": f"{run['platform']}, Python {run['python']}",
-        "Tables": "the numbers of results.csv and paired.csv, rounded for the eye; the exact text "
-        "of each cell stands in its data-value, data-low and data-high",
+        "Tables": "the numbers of results.csv and paired.csv, rounded; the exact text of each "
+        "cell is in its data-value, data-low and data-high",
         "Replay": _precision(found, encoded),
     }
     return terms(lines)
@@ -169,8 +173,8 @@ def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
     thin = sum(one.stride > 1 for one in encoded)
     verb = "is" if thin == 1 else "are"
     kept = (
-        f"{thin} of {counted(len(encoded), 'recording')} {verb} thinned out to keep the page "
-        "small (said below them); the others have every recorded frame"
+        f"{thin} of {counted(len(encoded), 'recording')} {verb} subsampled to keep the page small "
+        "(noted below them); the others have every recorded frame"
         if thin
         else "every recorded frame"
     )
@@ -180,5 +184,5 @@ def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
         f"{1000 * half_step('positions'):.2g} mm, "
         f"observation rows to {half_step('observations'):.2g}, frames and alignments to "
         f"{half_step('frames'):.2g}; times and V are 32-bit. Between two frames positions are "
-        "interpolated for the eye, everything else stays that of the frame"
+        "interpolated; everything else is that of the frame"
     )

@@ -19,6 +19,8 @@ Key = tuple[str, str, int]
 Row = dict[str, str]
 """Cells of a line of a CSV file, as text."""
 
+_FORMER_COUNTS = "starts"
+"""Name of the entry ``initial_conditions`` before format version 8."""
 _FILES = ("results.csv", "paired.csv", "episodes.csv", "trajectories.npz")
 
 
@@ -31,7 +33,7 @@ class Comparison:
     rows: list[Row]  # of results.csv
     paired: list[Row]
     episodes: list[Row]
-    recordings: dict[Key, Recording]  # with what the robots saw
+    recordings: dict[Key, Recording]  # with observations
     figures: list[Path]  # its PNG files
 
 
@@ -43,9 +45,9 @@ def read(folder: Path) -> Comparison:
     """
     if not folder.is_dir():
         part = part_of(folder) if folder.name else folder
-        left = f"; {part} is an unfinished one, and the same command goes on with it"
+        left = f"; {part} is unfinished, and the same command resumes it"
         raise UserError(
-            f"{folder}: there is no such folder; rendezvous compare --out writes one"
+            f"{folder}: the folder does not exist; rendezvous compare --out writes one"
             f"{left if part.is_dir() else ''}"
         )
     run = _read_run(folder)
@@ -54,8 +56,8 @@ def read(folder: Path) -> Comparison:
         scenarios = {name: Scenario.from_plain(plain) for name, plain in run["scenarios"].items()}
     except (ValueError, TypeError, AttributeError, KeyError, OverflowError) as error:
         raise UserError(
-            f"{folder / RUN}: a scenario is not readable: {error}; where a program of your own "
-            "registers what it names, call train.report.build.run there"
+            f"{folder / RUN}: a scenario is not readable: {error}; if your program registers its "
+            "extensions, call train.report.build.run there"
         ) from error
     rows, paired, episodes = (results.read_csv(folder / name) for name in _FILES[:3])
     recordings = _read_recordings(folder / _FILES[3], scenarios)
@@ -72,7 +74,7 @@ def _read_run(folder: Path) -> dict[str, Any]:
     path = folder / RUN
     if not path.is_file():
         raise UserError(
-            f"{folder} holds no run.json: rendezvous compare did not write it, or not to the end"
+            f"{folder} has no run.json: rendezvous compare did not write it, or did not finish"
         )
     try:
         run: dict[str, Any] = plain_data.read_json(path)
@@ -88,7 +90,9 @@ def _read_run(folder: Path) -> dict[str, Any]:
             f"({writer or 'unknown'})"
         )
     if run.get("sha256") != plain_data.digest_of_rest(run):
-        raise half_written(path, "its content was changed: the digest in it does not fit")
+        raise half_written(path, "its content was changed: its digest does not match")
+    if _FORMER_COUNTS in run:  # after the check of the digest, which covers names
+        run["initial_conditions"] = run.pop(_FORMER_COUNTS)
     return run
 
 
@@ -102,7 +106,7 @@ def _check_files(folder: Path, run: dict[str, Any]) -> None:
         if not is_ours(name):
             raise half_written(folder / RUN, f"names {name!r}, which compare does not write")
         if not path.is_file():
-            raise half_written(path, "is no file" if path.exists() else "missing")
+            raise half_written(path, "is not a file" if path.exists() else "missing")
         if path.stat().st_size != entry["bytes"] or results.entry(path) != entry:
             raise half_written(path, f"is not of run {run['run']}: its sha256 differs from {RUN}")
     for path in sorted(folder.iterdir()):

@@ -13,7 +13,7 @@ from rendezvous_env.trajectory import run
 
 from ..compare.evaluation import alignments
 from ..encoding import encode_all
-from ..recording import Recorder, Recording, state_of
+from ..recording import EpisodeRecorder, Recording, state_of
 from ..results import write_text
 from .skeleton import PLAYER, Replay, assemble, elements, part, player_data, terms
 
@@ -39,8 +39,8 @@ def page(trajectory: Trajectory, envs: int = 8) -> str:
     lines = {
         "Scenario": f"{scenario.name}: {scenario.n_robots} robots, {scenario.model.name}",
         "Policy": policy,
-        "Environments": f"{len(rows)} of {count}; robots and rows as they were recorded while the "
-        "rollout was played once more, with the same positions",
+        "Environments": f"{len(rows)} of {count}; robots and rows as recorded when the rollout "
+        "was simulated again, with equal positions",
     }
     sections = (
         f'<section id="replay" aria-labelledby="replay-title"><h2 id="replay-title">{name} under '
@@ -77,25 +77,26 @@ def _outcome(row: dict[str, Any]) -> dict[str, str]:
 
 
 def recordings_of(trajectory: Trajectory, envs: int) -> list[Recording]:
-    """Recordings of the first environments of a rollout, which is played once more; a ValueError if
-    it takes another course.
+    """Recordings of the first environments of a rollout, which is simulated again.
+
+    A ValueError if the result differs.
     """
     if not trajectory.start:
         raise ValueError(
-            f"this trajectory has no initial condition to play it again from; {_REMEDY}"
+            f"this trajectory has no initial condition to simulate it again; {_REMEDY}"
         )
     simulator = Simulator(trajectory.scenario, trajectory.num_envs)
     simulator.set_state(trajectory.start)
     seen = simulator.observe()
-    recorders = [Recorder(simulator, env, seen, exact=False) for env in range(envs)]
+    recorders = [EpisodeRecorder(simulator, env, seen, exact=False) for env in range(envs)]
     for number, step in enumerate(run(simulator, _policy_of(trajectory), seen), start=1):
         same = number < len(trajectory.times) and np.array_equal(
             simulator.positions, trajectory.positions[number]
         )
         if not same:
             raise ValueError(
-                f"policy {trajectory.policy!r} chose otherwise in step {number} when the rollout "
-                f"was played once more; {_REMEDY}"
+                f"policy {trajectory.policy!r} chose other actions in step {number} when the "
+                f"rollout was simulated again; {_REMEDY}"
             )
         aligned, after = alignments(trajectory.scenario, step), state_of(simulator)
         for recorder in recorders:
@@ -113,5 +114,5 @@ def _policy_of(trajectory: Trajectory) -> Any:
 
         return repeat
     if trajectory.played_by is None:
-        raise ValueError(f"the policy of this trajectory is not known any more; {_REMEDY}")
+        raise ValueError(f"the policy of this trajectory is not available; {_REMEDY}")
     return trajectory.played_by

@@ -16,15 +16,16 @@ from ..figures.figures import ROBOT_COLOURS
 
 _PAGE = files(__package__) / "page"
 _CAPTIONS = {
-    "success": "Share of the initial conditions from which each policy met. Open marks: all robots "
-    "met. Filled: and none touched an obstacle. Lines: 95 % intervals.",
+    "success": "Fraction of initial conditions with rendezvous, by policy. Open marks: all "
+    "robots met. Filled: collision-free. Lines: 95 % intervals.",
     "times": "Median time until all robots met, with its 95 % interval; time-outs count as later "
     "than the limit.",
-    "against-obstacles": "Collision-free success as obstacles become more. Bars: 95 % intervals.",
-    "against-robots": "Collision-free success of teams of different size among the same number of "
-    "obstacles. Bars: 95 % intervals.",
-    "price": "Collision-free success and time, each against the share of steps in which V rose.",
-    "profiles": "The share of runs that reach each level of collision-free success.",
+    "against-obstacles": "Collision-free success against the number of obstacles. Bars: 95 % "
+    "intervals.",
+    "against-robots": "Collision-free success against the number of robots among the same number "
+    "of obstacles. Bars: 95 % intervals.",
+    "price": "Collision-free success and time against the fraction of steps in which V increased.",
+    "profiles": "Fraction of runs that reach each level of collision-free success.",
 }
 
 
@@ -56,7 +57,7 @@ def assemble(
         css=css + part("page.css"),
         js=f'{js}\n(() => {{\n"use strict";\n{own}}})();',
         recordings=recordings,
-        data=plain.replace("<", "\\u003c"),  # cannot end the script element it stands in
+        data=plain.replace("<", "\\u003c"),  # must not end the enclosing script element
     )
 
 
@@ -143,5 +144,5 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "own_row": "gravity" if scenario.model.nonholonomic else "own velocity",
         "neighbour_slots": layout.neighbour_slots,
         "obstacle_slots": layout.obstacle_slots,
-        "silhouette_points": layout.silhouette_points,
+        "rows_per_obstacle": layout.rows_per_obstacle,
     }

@@ -87,7 +87,7 @@ def _landmarks(path: Path, time: float, robots: set[int]) -> list[Floats]:
 
 
 def read_numbers(path: Path, least: int, columns: str) -> Floats:
-    """Numbers of a file, a row a line; lines that begin with # are comments.
+    """Numbers of a file, one row per line; lines that begin with # are comments.
 
     Raises:
         LogError: naming the line and the remedy, unless each has ``least`` finite numbers or more.

@@ -37,7 +37,7 @@ class Replayed(NamedTuple):
     policy: str
     observer: NDArray[np.int64]  # (F,)
     time: Floats  # (F,), s
-    seen: NDArray[np.int64]  # (F,), robots in the frame
+    seen: NDArray[np.int64]  # (F,), number of robots in the frame
     hold: Floats  # (F,), s, for which the command is held; 0 for the last
     velocity: Floats  # (F, 2), m/s, in the frame of the poses
     net_bearing: Floats  # (F, 2), fᵢ, true

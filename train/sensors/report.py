@@ -27,7 +27,7 @@ _UNITS = {
 
 
 def about(log: SensorLog) -> str:
-    """Size of a log, and what was found or corrected while reading it."""
+    """Size of a log, and notes from reading it."""
     robots = int(log.robot_rows().sum())
     landmarks = int((log.target >= log.n_robots).sum())
     others = f" and {landmarks} of landmarks" if landmarks else ""
@@ -91,7 +91,7 @@ def _unit(name: str) -> str:
 
 
 def show(fit: SensorFit, plain: Mapping[str, Any], console: Console) -> None:
-    """Print estimates, prediction and what the model does not express."""
+    """Print estimates, prediction and effects outside the model."""
     table = Table("field", "value", f"{CONFIDENCE:.0%} interval", "unit", box=None)
     for name, one in fit.parameters.items():
         interval = f"{one.low:.4g} … {one.high:.4g}"

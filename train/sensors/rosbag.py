@@ -21,10 +21,10 @@ from ..checks import UserError
 _TOPIC = re.compile(r"/(?P<robot>[^/]+)/(?P<what>bearings|pose)")
 TYPES = {"bearings": "std_msgs/msg/Float64MultiArray", "pose": "geometry_msgs/msg/PoseStamped"}
 """Message types of the topics."""
-_FAR = 0.3  # rad, beyond which a bearing is near no robot
+_FAR = 0.3  # rad; maximum angle between a bearing and its robot
 _ASSIGNED = "bearings have no identity; each is assigned to the nearest robot by ground truth"
-_UNSEEN = 0.5  # s, before the first and after the last pose in which a robot is still assigned
-_SAMPLE = 400  # messages from which the delay is found, s
+_UNSEEN = 0.5  # s; margin around the first and last pose within which a robot is assigned
+_SAMPLE = 400  # messages from which the delay is estimated, s
 _DELAYS = np.arange(-0.3, 1.001, 0.05)
 
 Floats = NDArray[np.float64]
@@ -89,7 +89,7 @@ def _messages(path: Path) -> tuple[list[Any], list[Any]]:
                 else:
                     poses.append((time, robot, *_pose(message)))
     except AnyReaderError as error:
-        raise LogError(f"{path}: cannot be read ({error}); record it anew") from None
+        raise LogError(f"{path}: cannot be read ({error}); record it again") from None
     for what, found_any in (("bearings", seen), ("pose", poses)):
         if not found_any:
             raise LogError(f"{path}: topics /NAME/{what} have no messages; record them as well")
@@ -151,7 +151,7 @@ def _identified(
         if not len(angles):
             rows.append((time, robot, "", math.nan))
             continue
-        # what is far from all robots must not displace another bearing
+        # a bearing far from all robots must not displace another one
         others = np.array([k for k, name in enumerate(names) if name != robot])
         apart = np.minimum(_apart(angles, bearings[others]), _FAR)
         found = zip(*linear_sum_assignment(apart), strict=True)

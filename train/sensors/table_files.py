@@ -66,7 +66,7 @@ def _read_parquet(path: Path) -> Columns:
     try:
         table = parquet.read_table(path)
     except (OSError, pyarrow.ArrowInvalid) as error:
-        raise LogError(f"{path}: is not a Parquet file ({error}); write it anew") from None
+        raise LogError(f"{path}: is not a Parquet file ({error}); write it again") from None
     return {name: table[name].to_numpy() for name in table.column_names}
 
 

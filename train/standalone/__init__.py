@@ -73,7 +73,7 @@ class {word}:
     """This file is for robots of {where}."""
 '''
     }
-    for dim, word, where in ((2, "SteadyPlanes", "the plane"), (3, "OdometryFrame", "space"))
+    for dim, word, where in ((2, "OdometryPlane", "the plane"), (3, "OdometryFrame", "space"))
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
@@ -103,8 +103,8 @@ class {word}:
 '''
     }
     for is_filtered, module, word, what in (
-        (True, "search.direct_control", "DirectTeams", "under"),
-        (False, "learned.guide", "GuidedTeams", "without"),
+        (True, "search.direct_control", "DirectController", "under"),
+        (False, "learned.base_controller", "BaseController", "without"),
     )
 }
 _ROOTS = (
@@ -229,7 +229,7 @@ def check_unchanged(names, digest):
     lines = text.replace(b"\\r\\n", b"\\n").splitlines(keepends=True)
     if hashlib.sha256(b"".join(lines[:-1])).hexdigest() != digest:
         raise ValueError(
-            f"{names['__file__']}: its content was changed: the digest in it does not fit"
+            f"{names['__file__']}: its content was changed: its digest does not match"
         )
     return True
 
@@ -268,7 +268,7 @@ def text_of(
         build = registry.builder_of(policy)
         root = Name(build.__module__, build.__name__)
         if not root.is_ours:
-            raise ValueError(f"policy {policy!r} stands in {build.__module__}, not in this project")
+            raise ValueError(f"policy {policy!r} is in {build.__module__}, not in this project")
         roots.append(root)
         make = f"{build.__name__}(TEAM)"
     else:
@@ -319,8 +319,8 @@ def _bundle(roots: Sequence[Name], stand_ins: Mapping[Name, str]) -> Bundle:
         beside = [name for name in bundle.foreign if _lies_beside(name, roots)]
         if not beside:
             raise ValueError(
-                f"it imports {', '.join(bundle.foreign)}; one file needs NumPy and nothing else. "
-                "A trained network is exported with --out FILE.onnx"
+                f"it imports {', '.join(bundle.foreign)}; a standalone file may use NumPy only. A "
+                "trained network is exported with --out FILE.onnx"
             )
         for name in beside:
             add_module(name)
@@ -389,7 +389,7 @@ def corner_ticks(scenario: Scenario) -> list[list[tuple[Any, ...]]]:
     ahead, left = np.eye(d)[:1], np.eye(d)[1:2]
     pairs = [(left, -left), (ahead, -ahead), (ahead, ahead)]
     neighbours = [np.zeros((0, d)), -ahead, *map(np.concatenate, pairs)]
-    obstacles = [np.zeros((0, layout.silhouette_points, d))]
+    obstacles = [np.zeros((0, layout.rows_per_obstacle, d))]
     if layout.obstacle_slots:
         obstacles.append(_silhouettes(ahead, np.full((1, 1, 1), 0.5)))
     told = {"gravity": -np.eye(3)[2]} if layout.senses_gravity else {}

@@ -131,7 +131,7 @@ def _meaning(module: str, word: str) -> Name:
 def _is_module(name: str) -> bool:
     try:
         return util.find_spec(name) is not None
-    except ModuleNotFoundError:  # of no package
+    except ModuleNotFoundError:  # not in a package
         return False
 
 
@@ -202,7 +202,7 @@ class Bundle:
             elif not found.is_ours:
                 known = self._imports.setdefault(word, found)
                 if known != found:
-                    raise ValueError(f"{word} is {known} and {found}; one file has room for one")
+                    raise ValueError(f"{word} is {known} and {found}; one file can have one only")
             elif not found.word:
                 raise ValueError(
                     f"{name.module}.{name.word} uses the module {found.module} as such"

@@ -9,7 +9,7 @@ from rendezvous_env.baselines.laws.paper_laws import pitch_of
 
 import rendezvous_env as rv
 
-from .monitors import Moment, across, lengths, unit
+from .monitors import BatchMoment, across, lengths, unit
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -24,8 +24,8 @@ _REST = KINDS.index("rest")
 _FASTEST_SPIN = 20.0  # rad/s
 _ERRORS = ("against", "to one side", "anyhow", "to changing sides", "outward")
 """Directions into which bearings are rotated: away from f, …, away from the mean bearing."""
-_SWITCHING = 7  # steps after which errors turn round
-_ROUNDED = 1.0 - 1e-6  # share of an error that is still none too much after rounding to float32
+_SWITCHING = 7  # steps after which errors change sign
+_ROUNDED = 1.0 - 1e-6  # factor on errors, so that rounding to float32 does not exceed the bound
 _TINY = 1e-12
 
 
@@ -57,7 +57,7 @@ class Adversary:
         if by == "heading":
             self.turn_rates = np.minimum(max_turn_rate, self.turn_rates)
 
-    def __call__(self, observations: Float32, teams: Moment) -> ArrayLike:
+    def __call__(self, observations: Float32, teams: BatchMoment) -> ArrayLike:
         """Actions (B, n, k)."""
         restless = self.kinds[3::4]
         anew = self.random.random(restless.shape) < 0.1
@@ -72,11 +72,11 @@ class Adversary:
         if self.turning.all() or not self.turning.any():
             return controls
         desired = self.desired(teams)
-        # numbers that a robot does not have are anything
+        # unused numbers are arbitrary
         padded = np.concatenate([controls, self.blind], axis=-1)[..., : desired.shape[-1]]
         return np.where(self.turning[:, np.newaxis], padded, desired)
 
-    def desired(self, teams: Moment) -> Array:
+    def desired(self, teams: BatchMoment) -> Array:
         """Desired velocity of each robot in its own frame, (B, n, d)."""
         anyhow, angle = self.random.normal(size=self.frozen.shape), self._spun(teams)
         spun = np.cos(angle) * self.frozen + np.sin(angle) * np.roll(self.frozen, 1, axis=-1)
@@ -104,14 +104,12 @@ class Adversary:
         weights = np.choose(style, (alone, alone, np.clip(scores, 0.0, 1.0), anyhow))
         return np.where(self.kinds[..., None] == _REST, 0.0, weights)
 
-    def _spun(self, teams: Moment) -> Array:
+    def _spun(self, teams: BatchMoment) -> Array:
         """Accumulated rotation of each robot, (B, n, 1), rad."""
         return np.asarray(self.spin * teams.time[:, None, None])
 
-    def controls(self, observations: Float32, teams: Moment) -> Array:
-        """Normalised inputs of nonholonomic robots: away from f, across it, held, random or
-        alternating.
-        """
+    def controls(self, observations: Float32, teams: BatchMoment) -> Array:
+        """Normalised inputs of nonholonomic robots: away from f, across, held or random."""
         scenario, layout = self.scenario, self.scenario.observation_layout
         f, gravity = layout.net_bearing(observations), layout.split(observations).gravity
         size = scenario.action_size - (self.by == "heading")
@@ -145,7 +143,7 @@ def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
     return rates
 
 
-def _offset_of(teams: Moment, others: NDArray[np.int64]) -> Array:
+def _offset_of(teams: BatchMoment, others: NDArray[np.int64]) -> Array:
     """Offset from each robot to another one, (B, n, d), m; zero without a link."""
     found = np.take_along_axis(teams.offsets, others[..., None, None], axis=2)[..., 0, :]
     return np.where(teams.linked.any(axis=2, keepdims=True), found, 0.0)
@@ -198,7 +196,7 @@ def turned_rows(rows: Array, towards: Array, errors: Array | float) -> Array:
     Collinear rows rotate sideways; lengths are unchanged.
     """
     ahead, aside = unit(rows), towards
-    for _ in range(2):  # so that rounding leaves none of what is ahead
+    for _ in range(2):  # so that rounding leaves no component ahead
         aside = aside - (aside * ahead).sum(axis=-1, keepdims=True) * ahead
     least = np.eye(rows.shape[-1])[np.argmin(np.abs(ahead), axis=-1)]
     aside = unit(np.where(lengths(aside) < 1e-9, across(ahead, least), aside))

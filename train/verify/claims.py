@@ -18,13 +18,13 @@ from rendezvous_env.safety.theorems.descent import time_bound
 
 from .falsification import Policy, Tally, begin
 from .monitors import Monitor, across, unit
+from .random_initial_conditions import log_uniform
 from .random_scenarios import Trial
-from .random_starts import log_uniform
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-BATCH = 40  # teams of one batch: they share everything but start, frames, weights and adversaries
+BATCH = 40  # environments per batch, which share all but initial state, weights and adversaries
 SIZES = (2, 3, 5, 8)
 FAMILIES = ("complete", "path", "cycle", "star", "random_tree", "erdos_renyi")
 PATIENCE = 500.0
@@ -175,7 +175,7 @@ _space = partial(draw_team, by="law", dims=(3,), turning=True)
 _turning = partial(draw_team, turning=True)
 _mixed = partial(draw_team, turning=True, mixed=True)
 _long_steps = partial(draw_team, step_factors=(4.0, 10.0))
-_trees = partial(draw_team, sizes=(8,), families=("random_tree",))  # whose merges make V rise
+_trees = partial(draw_team, sizes=(8,), families=("random_tree",))  # whose merges increase V
 
 CLAIMS = (
     Claim("lemma-1", "Σ‖f‖ ≥ 2 max a", _law_1, bound_a, ("lemma",)),
@@ -223,7 +223,7 @@ def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float)
     limit = claim.bound(trial, teams)
     kept = {name: np.zeros(BATCH) for name in claim.numbers if name != "time"}
     watch = Monitor(wrapped.unwrapped, kept, 1, 0.0)
-    # one step more: a bound falls within a step
+    # one more step: a bound lies within a step
     teams.set_max_steps(math.ceil(limit.max() / watch.held) + 1)
     wrong = np.zeros(BATCH, dtype=np.bool_)
     while (np.isinf(watch.met) & ~teams.ended & ~wrong).any():

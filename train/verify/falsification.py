@@ -30,22 +30,22 @@ from rendezvous_env.trajectory import begin as begin_policy
 
 from .. import policies
 from .adversaries import Adversary, Misled
-from .monitors import NUMBERS, REPEATED, SEARCHED, Moment, Monitor
+from .monitors import NUMBERS, REPEATED, SEARCHED, BatchMoment, Monitor
 from .random_scenarios import Trial, other_starts
 
 Array = NDArray[np.float64]
-Policy = Callable[[Any, Moment], Any]
+Policy = Callable[[Any, BatchMoment], Any]
 
 TEAMS = 24
 """Number of environments per trial, divided evenly between initial conditions."""
-MAX_STEPS = 400  # steps for which a time bound is waited for
+MAX_STEPS = 400  # maximum number of steps to a time bound
 MAX_MEAN_STEPS = 1000
 """Steps for which environments are simulated until they meet, if a mean time is bounded."""
 PATIENT_STEPS = 1000
 """Steps of a trial of a policy, besides those that a deadlock has to last."""
 FEW_STEPS = 8, 80
 """Minimum and maximum number of steps of trials whose time bound cannot be reached."""
-_PARENTS = 3  # starts from which those of the next generation are made
+_PARENTS = 3  # initial conditions from which the next generation is made
 _LAWS = {"unicycle": "unicycle", "mixed": "by-model", "nonholonomic_3d": "nonholonomic-3d"}
 _HOW = ("by", "arguments", "frame", "period", "seed", "policy", "numbers")
 """Fields of a trial that are written in addition to its scenario."""
@@ -61,11 +61,11 @@ class Violation:
     found: float
     promised: float
     words: str
-    choices: Array = field(repr=False)  # of the team, (steps, n, k)
+    choices: Array = field(repr=False)  # of the environment, (steps, n, k)
 
     def __str__(self) -> str:
         return (
-            f"{self.number} is {self.found:.6g}, promised {self.promised:.6g}, in step {self.step} "
+            f"{self.number} is {self.found:.6g}, bound {self.promised:.6g}, in step {self.step} "
             f"of environment {self.team}: {self.words}"
         )
 
@@ -77,14 +77,14 @@ class Tally:
     trials: int = 0
     seconds: float = 0.0
     steps: int = 0
-    margin: float = math.inf  # of a claim, the worst of its teams; negative is bad, rounding aside
+    margin: float = math.inf  # of a claim, the worst; negative is a violation, up to rounding
     violations: int = 0
     first: int | None = None  # the first batch of a claim with a violation
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
     """Counts by theorem: initial conditions with a certificate ("granted"), checks of each of
     NUMBERS ("time" only if the bound was reached or all met before), and "violations"."""
     ratio: dict[str, float] = field(default_factory=dict)  # the worst T/bound of each
-    found: list[tuple[int, Trial, Played]] = field(default_factory=list)
+    found: list[tuple[int, Trial, TrialResult]] = field(default_factory=list)
     """Violations: trial index, trial as sampled, and result."""
 
     def join(self, other: Tally) -> None:
@@ -99,7 +99,7 @@ class Tally:
 
 
 @dataclass
-class Played(Tally):
+class TrialResult(Tally):
     """Result of a trial."""
 
     violation: Violation | None = None
@@ -110,8 +110,8 @@ class Played(Tally):
 class Promised(NamedTuple):
     """Bounds of a certificate as numbers that can be violated."""
 
-    limits: dict[str, float]  # by one of NUMBERS; 0 for what each step keeps
-    theorems: dict[str, tuple[str, ...]]  # what each theorem that applies has a part in
+    limits: dict[str, float]  # by one of NUMBERS; 0 for properties of each step
+    theorems: dict[str, tuple[str, ...]]  # numbers of each applicable theorem
     bearing_error: float  # rad
     words: str
 
@@ -175,7 +175,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     arguments |= {"frame": trial.frame, "decision_period": trial.period}
     if trial.by not in ("gains", "policy"):
         arguments["bearing_error"] = bearing_error
-    # what the sensor itself does not do
+    # errors beyond those of the sensor
     seen = Misled(env, scenario, error, trial.seed) if error > scenario.sensing.error else env
     wrapped = guarded(seen, trial.by, arguments)
     options = None
@@ -196,7 +196,7 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     if trial.frame == "local" or trial.by == "gains" or not wrapped.filter.along_net_bearing:
         return wrapped, start, adversary
 
-    def as_seen(seen: Any, now: Moment) -> Array:
+    def as_seen(seen: Any, now: BatchMoment) -> Array:
         """Adversarial actions in the frames with x along f."""
         frames = wrapped.filter.get_state()["frames"]
         return np.einsum("bnij,bni->bnj", frames, np.asarray(adversary(seen, now)))
@@ -215,7 +215,7 @@ def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
     return env if by in ("law", "policy") else vector.GuaranteeWrapper(env, by, **arguments)
 
 
-def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
+def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> TrialResult:
     """Request the certificates, simulate a batch of environments and check every bound.
 
     It ends at a violation, or when every environment has met or reached its bound, if that is
@@ -227,13 +227,13 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
     else:
         promised = [ask(one, trial.by, trial.arguments) for one in among]
     if not any(one.limits for one in promised):
-        return Played()
+        return TrialResult()
     if any("expected_time" in one.limits for one in promised) and teams == TEAMS:
         teams = REPEATED * len(among)
     try:
         wrapped, observations, policy = begin(trial, promised[0].bearing_error, teams)
-    except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
-        return Played()
+    except (ValueError, RuntimeError):  # no initial condition, or a wrapper that rejects the robots
+        return TrialResult()
     simulator, which = wrapped.unwrapped.simulator, start_of(teams, len(among))
     limits = {
         name: np.array([one.limits.get(name, math.inf) for one in promised])[which]
@@ -250,7 +250,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
         kept.append(np.asarray(chosen, dtype=np.float32))
         observations, *_, infos = wrapped.step(kept[-1])
         _, wrong = watch.look(infos)
-    played = Played(steps=len(kept), closeness=watch.closeness, began=began)
+    played = TrialResult(steps=len(kept), closeness=watch.closeness, began=began)
     for k, one in enumerate(promised):
         checked = {"granted", *watch.checked(which == k)}
         for name, own in one.theorems.items():
@@ -282,7 +282,7 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
     return np.where(late, most, last)
 
 
-def climb(trial: Trial) -> tuple[Trial, Played]:
+def climb(trial: Trial) -> tuple[Trial, TrialResult]:
     """Search for initial conditions that violate a bound.
 
     Simulate the trial from its initial conditions, then ``trial.generations`` times from variations
@@ -315,7 +315,7 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
     return trial, played
 
 
-def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
+def shrink(trial: Trial, played: TrialResult) -> tuple[Trial, TrialResult]:
     """Shrink a violation: simplify one property at a time while the same bound is violated."""
     assert played.violation is not None
     number, simpler = played.violation.number, _simpler(trial)
@@ -372,7 +372,7 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
         own = {name: getattr(scenario.sensing, name) for name in scenario.sensing.per_robot}
         of_left: dict[str, Any] = {name: [row[k] for k in left] for name, row in own.items()}
         change["sensing"] = replace(scenario.sensing, **of_left)
-        with suppress(ValueError):  # nobody left to see
+        with suppress(ValueError):  # no neighbour left
             if graph.kind in ("edges", "directed"):
                 made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix
                 change["graph"] = made(graph.base_weights(n)[np.ix_(left, left)])
@@ -380,7 +380,7 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
 
 
 def _rounder(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
-    """Links of one weight, and places with few digits."""
+    """Links of equal weights, and positions with few digits."""
     graph, n = scenario.sensing_graph, scenario.n_robots
     if graph.kind != "complete":
         yield {"graph": rv.graphs.complete()}
@@ -399,7 +399,7 @@ def _one_digit(value: float) -> float:
     return float(f"{value:.1g}")
 
 
-def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
+def write(folder: Path, name: str, trial: Trial, played: TrialResult) -> Path:
     """Write a violation: scenario in NAME.toml, settings in NAME.json.
 
     If a single environment repeats it, its actions and initial condition are included.
@@ -423,7 +423,7 @@ def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
     return folder / f"{name}.toml"
 
 
-def repeat(path: Path) -> Played:
+def repeat(path: Path) -> TrialResult:
     """Repeat a violation from the files of ``write``."""
     how = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
     given = {name: how[name] for name in _HOW if name in how}

@@ -37,11 +37,11 @@ SEARCHED = {
     "growth": "the convex hull grows in such a step, linked robots r or more apart (m)",
     "deadlock": "neither a merge nor a fall of V for a long time (s)",
 }
-"""What the search for counterexamples of a policy looks for, by the numbers that are found."""
+"""Objectives of the search for counterexamples of a policy, by quantity."""
 _PROGRESS = (
-    1e-4  # of a* r, m²/s: a fall of V that ends a deadlock, 1 % of the slowest under ε = 0.1
+    1e-4  # of a* r, m²/s: a decrease of V that ends a deadlock, 1 % of the slowest for ε = 0.1
 )
-REPEATED = 48  # teams for each start of a trial whose mean time is promised
+REPEATED = 48  # environments per initial condition of a trial with a bounded mean time
 _FLOAT32 = 2.0**-20
 _CONFIDENCE = 5.0  # standard errors by which a mean may lie above its bound
 _COUNT = 48  # directions in which hulls are measured
@@ -50,7 +50,7 @@ _NEARLY = 0.97
 underestimate it by at most 1.5 %."""
 
 
-class Moment:
+class BatchMoment:
     """State of a batch at one time: lazily read simulator attributes and pairwise geometry."""
 
     def __init__(self, teams: rv.Simulator) -> None:
@@ -58,7 +58,7 @@ class Moment:
         _ = self.positions, self.active, self.weights, self.lyapunov  # before the next step
 
     def __getattr__(self, name: str) -> Any:
-        """Read it."""
+        """Read an attribute of the simulator."""
         found = getattr(self._teams, name)
         vars(self)[name] = found = found() if callable(found) else found
         return found
@@ -131,7 +131,7 @@ class Monitor:
 
     def __init__(self, env: Any, limits: dict[str, Array], period: int, budget: float) -> None:
         self.env, self.limits, self.teams, self.scenario = env, limits, env.simulator, env.scenario
-        self.now = now = Moment(self.teams)
+        self.now = now = BatchMoment(self.teams)
         scenario, count = self.scenario, self.teams.num_envs
         n, r, degree = scenario.n_robots, scenario.merge_radius, scenario.max_degree
         self.once, self.held = period == 1, period * scenario.tau
@@ -150,7 +150,7 @@ class Monitor:
         self.start = now.distances
         self.lowest, self.fell = now.lyapunov, np.zeros(count)
         self.closeness = {name: np.full(count, -np.inf) for name in limits}
-        """How near each team came to break each number, (B,)."""
+        """Distance of each environment from violating each bound, (B,)."""
         self.units = dict.fromkeys(limits, np.maximum(now.lyapunov, 1e-300))
         self.units |= {"lemma": np.ones(count), "pieces": np.ones(count)}
         timed = (*PROMISED, "deadlock")
@@ -177,7 +177,7 @@ class Monitor:
         """Mask of violating environments in this step, (B,), and the first, largest violation."""
         measured, wrong, worst = self._measure(infos), np.zeros(len(self.met), dtype=bool), None
         for name, limit in self.limits.items():
-            if name not in measured:  # of many steps, as a mean is
+            if name not in measured:  # over many steps, as a mean
                 continue
             found, error = measured[name]
             most = limit * (1.0 + 1e-9 * (name in ("time", "lyapunov")))
@@ -193,7 +193,7 @@ class Monitor:
 
     def _measure(self, infos: Mapping[str, Any]) -> dict[str, tuple[Array, Any]]:
         """Monitored values, (B,) each, and their rounding allowances."""
-        last, self.now = self.now, Moment(self.teams)
+        last, self.now = self.now, BatchMoment(self.teams)
         now, outcome, touched = self.now, self.env.outcome, infos["contact"].any(axis=1)
         alone, left = (last.active == now.active).all(axis=1), now.active.sum(axis=1)
         calm = alone & ~touched & np.isinf(self.met)
@@ -208,7 +208,7 @@ class Monitor:
         first = np.where(~alone & ~touched & self.once, rises, -np.inf)
         seen = last.linked & (last.distances <= self.sight)
         found: dict[str, tuple[Array, Any]] = {
-            # the step in which a bound falls may be finished
+            # the step that contains a bound may be finished
             "time": (np.minimum(self.met, now.time) - self.held, 0.0),
             "lyapunov": (np.where(self.free, now.lyapunov, -np.inf), self.height_error),
             "merge_rise": (outcome.merge_excess, 1e-12 * (1.0 + last.lyapunov)),
@@ -253,7 +253,7 @@ class Monitor:
         return found
 
     def _time_without_progress(self, alone: Mask) -> Array:
-        """Since the last merge or new least V, lower by a share of a* r, (B,), s; −∞ once met."""
+        """Time since the last merge or new minimum of V, (B,), s; −∞ after rendezvous."""
         now, scenario = self.now, self.scenario
         least = _PROGRESS * scenario.bottleneck_weight * scenario.merge_radius
         progress = ~alone | (now.lyapunov < self.lowest - least)

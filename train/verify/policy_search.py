@@ -1,5 +1,6 @@
-"""Counterexamples of one policy: initial conditions, graphs and weights from which V rises, the
-hull grows, or robots make no progress.
+"""Search for counterexamples of one policy over initial conditions, graphs and weights.
+
+A counterexample is an increase of V, a growth of the hull, or a deadlock.
 """
 
 from __future__ import annotations
@@ -14,33 +15,34 @@ import numpy as np
 
 import rendezvous_env as rv
 
-from . import random_starts as places_of
-from .falsification import Played, Tally, Violation, climb
+from . import random_initial_conditions as places_of
+from .falsification import Tally, TrialResult, Violation, climb
 from .monitors import SEARCHED
 from .random_scenarios import GRAPHS, STARTS, Trial, other_starts, random_graph, reach_of
 
 _STREAM = 5  # of random numbers
 _TRIES = 40
-_OWN_GRAPH = 0.25  # share of trials with the scenario's own graph
-_OWN_SIZE = 0.4  # share of trials with as many robots as it has
-_DRAWN = 0.15  # share of trials whose starts are drawn as in episodes
-_CLIMBING = 0.3  # share of trials whose starts are improved
+_OWN_GRAPH = 0.25  # fraction of trials with the scenario's graph
+_OWN_SIZE = 0.4  # fraction of trials with the scenario's number of robots
+_DRAWN = 0.15  # fraction of trials with initial conditions sampled as in episodes
+_CLIMBING = 0.3  # fraction of trials whose initial conditions are optimised
 _SIZES = (2, 3, 3, 4, 4, 5, 6)
 
 
-class Found(NamedTuple):
+class Counterexample(NamedTuple):
     """A counterexample."""
 
     number: str  # one of SEARCHED
     trial: Trial
-    played: Played
+    played: TrialResult
 
 
 def search(
     policy: str, scenario: rv.Scenario, seed: int, number: int, numbers: Sequence[str]
 ) -> Tally:
-    """Play a draw's initial conditions against a policy until each of these numbers is found, or
-    none of those left is.
+    """Run a policy from the initial conditions of a sampled scenario.
+
+    Stops when each quantity has been violated, or no further one is.
     """
     began, tally = time.perf_counter(), Tally(trials=STARTS)
     trial = replace(draw(policy, scenario, seed, number), numbers=tuple(numbers))
@@ -59,8 +61,9 @@ def search(
 
 
 def draw(policy: str, scenario: rv.Scenario, seed: int, number: int) -> Trial:
-    """A scenario that differs from a given one in size, graph, weights and initial conditions; the
-    given one itself as the first draw, and where no other fits.
+    """Sample a variant of a scenario in size, graph, weights and initial conditions.
+
+    The first sample is the scenario itself, as are those without a valid variant.
     """
     random = np.random.default_rng([seed, _STREAM, number])
     chosen, starts = scenario, tuple[rv.Scenario, ...]()
@@ -85,7 +88,7 @@ def draw(policy: str, scenario: rv.Scenario, seed: int, number: int) -> Trial:
 
 
 def _varied(random: np.random.Generator, scenario: rv.Scenario) -> rv.Scenario:
-    """Another size, graph, weights and start; a ValueError where they do not go together."""
+    """Sample size, graph, weights and initial condition; a ValueError if they are inconsistent."""
     n, r, dim = scenario.n_robots, scenario.merge_radius, scenario.dim
     graph, fields = scenario.sensing_graph, dict[str, Any](allow_long_step=True)
     resizable = graph.kind not in ("edges", "directed", "switching")
@@ -102,13 +105,13 @@ def _varied(random: np.random.Generator, scenario: rv.Scenario) -> rv.Scenario:
     return varied.replace(start_positions=places_of.random_positions(random, n, dim, r, reach))
 
 
-def first_of_each(tally: Tally) -> Iterator[Found]:
-    """The counterexample with fewest robots, and of these the first drawn, of each number."""
+def first_of_each(tally: Tally) -> Iterator[Counterexample]:
+    """Counterexample of each quantity with the fewest robots, the first of equals."""
     for number in SEARCHED:
         found = [one for one in tally.found if one[2].violation.number == number]  # type: ignore[union-attr]
         if found:
             _, trial, played = min(found, key=lambda one: (one[1].scenario.n_robots, one[0]))
-            yield Found(number, trial, played)
+            yield Counterexample(number, trial, played)
 
 
 _WORDS = {
@@ -125,7 +128,7 @@ def words_of(violation: Violation | None) -> str:
 
 
 def rows_of(tally: Tally, numbers: Sequence[str]) -> list[dict[str, Any]]:
-    """Table of searched violations, with the number of initial conditions that show each."""
+    """Rows of searched violations, with the number of initial conditions for each."""
     draws = {
         name: sum(one[2].violation.number == name for one in tally.found)  # type: ignore[union-attr]
         for name in SEARCHED
@@ -133,7 +136,7 @@ def rows_of(tally: Tally, numbers: Sequence[str]) -> list[dict[str, Any]]:
     return [
         {
             "searched": name,
-            "what is looked for": words,
+            "violation": words,
             "draws": tally.trials // STARTS,
             "violations": draws[name],
         }

@@ -18,8 +18,8 @@ import rendezvous_env as rv
 from rendezvous_env.safety.theorems.delay import longest_held_step
 from rendezvous_env.safety.theorems.theorem import CHOICES
 
-from . import random_starts as places_of
-from .random_starts import log_uniform, pick
+from . import random_initial_conditions as places_of
+from .random_initial_conditions import log_uniform, pick
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
@@ -28,18 +28,18 @@ Starts = tuple[rv.Scenario, ...]
 
 STARTS = 6
 """Number of initial conditions per sampled scenario, simulated as one batch."""
-DRAWS = 50  # of a task: they are of one kind and share compiled code
-_KINDS = 10**9  # where the random streams of kinds begin, beyond those of draws
+DRAWS = 50  # scenarios of a task, of one kind, with common compiled code
+_KINDS = 10**9  # first random stream of kinds, after those of scenarios
 _TRIES = 40
-_CORNERS = 0.25  # share of scenarios that are drawn where promises would break first
+_CORNERS = 0.25  # fraction of critical scenarios
 _TOLERABLE = 0.8
 """Fraction of scenarios with one sensor imperfection small enough for some theorem."""
 _BY_CHANCE = 0.35
 """Fraction of these with detection by chance, for which a mean time is bounded."""
-_CLOCKED = 0.08  # share of scenarios in which robots have clocks of their own
-_EVENTFUL = 0.08  # share of scenarios with failures or disturbances
-_VARIED = 0.12  # share of scenarios whose robots differ in model or sensor, or with another area
-_CLIMBING = 0.15  # share of trials whose starts are improved
+_CLOCKED = 0.08  # fraction of scenarios with asynchronous activation
+_EVENTFUL = 0.08  # fraction of scenarios with failures or disturbances
+_VARIED = 0.12  # fraction of scenarios with different models or sensors, or another spawn area
+_CLIMBING = 0.15  # fraction of trials whose initial conditions are optimised
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 _MODELS = (
     *[("single_integrator", 2)] * 11,
@@ -66,12 +66,12 @@ class Trial:
     by: str
     arguments: dict[str, Any]  # of the certificate, and of the wrapper
     frame: str = "local"
-    period: int = 1  # base steps for which a choice is held
-    seed: int = 0  # team b has this seed + b; adversaries are drawn from it
-    generations: int = 0  # how often starts are improved, see ``climb``
-    starts: Starts = ()  # in place of its own; they divide the teams among them
-    policy: str = ""  # who plays where ``by`` is "policy", by name
-    numbers: tuple[str, ...] = ()  # of monitors.SEARCHED, that are looked for then
+    period: int = 1  # base steps per choice
+    seed: int = 0  # environment b has this seed + b; adversaries use it, too
+    generations: int = 0  # number of optimisation rounds of initial conditions, see ``climb``
+    starts: Starts = ()  # given initial conditions, distributed over the environments
+    policy: str = ""  # name of the policy if ``by`` is "policy"
+    numbers: tuple[str, ...] = ()  # quantities of monitors.SEARCHED to violate in that case
 
 
 class Kind(NamedTuple):
@@ -80,7 +80,7 @@ class Kind(NamedTuple):
     robot_model: str
     dim: int
     graphs: str  # which of GRAPHS
-    exact: bool  # whether the sensor is; that of a proximity graph never is
+    exact: bool  # whether the sensor is exact; never for a proximity graph
     obstacles: str  # none, round or any
 
 
@@ -122,14 +122,14 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
             if not kind.exact and kind.graphs != "proximity" and random.random() < _TOLERABLE:
                 scenario = _tolerable(random, scenario, given)
         except ValueError:
-            continue  # fields that do not go together
+            continue  # inconsistent fields
         scenario = _with_clocks(random.spawn(1)[0], scenario)
         scenario = _with_events(random.spawn(1)[0], scenario)
         scenario = _varied(random.spawn(1)[0], scenario)
         _vary_gains(random.spawn(1)[0], scenario, given)
         if scenario.start_positions is None:
             return scenario, given, ()
-        # half of the others are drawn anew where no obstacles lie between the robots
+        # half of the others are sampled again without obstacles between the robots
         own, anew = np.array(scenario.start_positions), 0.0 if scenario.obstacles else 0.5
         others = other_starts(random, scenario, own[None], anew)[1:]
         return scenario, given, (scenario, *others)
@@ -137,8 +137,9 @@ def _draw(random: Random, kind: Kind) -> tuple[rv.Scenario, Given, Starts]:
 
 
 def _with_clocks(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Mostly the scenario itself; else with clocks of the robots, half of them where a theorem is
-    known: exact bearings, nothing in the way, and commands that are held for a short time.
+    """Usually the scenario itself, otherwise with asynchronous activation.
+
+    For half of the latter a theorem exists: exact bearings, no obstacles, short holds of commands.
     """
     if random.random() >= _CLOCKED:
         return scenario
@@ -164,8 +165,9 @@ def _with_clocks(random: Random, scenario: rv.Scenario) -> rv.Scenario:
 
 
 def _with_events(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Mostly the scenario itself; else with one or two failures or disturbances, half of them
-    where a theorem is known.
+    """Usually the scenario itself, otherwise with one or two failures or disturbances.
+
+    For half of the latter a theorem exists.
     """
     if random.random() >= _EVENTFUL:
         return scenario
@@ -189,7 +191,7 @@ def _with_events(random: Random, scenario: rv.Scenario) -> rv.Scenario:
     chosen: dict[str, Any] = {}
     for _ in range(pick(random, 1, 1, 2)):
         chosen |= events[str(pick(random, *names))]
-    with suppress(ValueError):  # fields that do not go together
+    with suppress(ValueError):  # inconsistent fields
         eventful = scenario.replace(events=rv.Events(**chosen))
         lasting = scenario.sensing_graph.kind not in (*GRAPHS["changing"], "proximity")
         if not lasting or random.random() < 0.5:
@@ -204,19 +206,20 @@ def _with_events(random: Random, scenario: rv.Scenario) -> rv.Scenario:
 
 
 def _varied(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Mostly the scenario itself; else with robots of several models, sensors that differ between
-    robots, or initial positions drawn in a rectangle, a box or a region.
+    """Usually the scenario itself, otherwise with several models, sensors or another area.
+
+    The area of initial positions is a rectangle, a box or a region.
     """
     if random.random() >= _VARIED:
         return scenario
     change = pick(random, _of_several_models, _of_several_sensors, _in_an_area, _in_an_area)
-    with suppress(ValueError):  # fields that do not go together
+    with suppress(ValueError):  # inconsistent fields
         return cast(rv.Scenario, change(random, scenario))
     return scenario
 
 
 def _vary_gains(random: Random, scenario: rv.Scenario, given: Given) -> None:
-    """Give robots limits of gains of their own, rarely, between those of all."""
+    """Rarely give each robot its own limits of gains, within those of all."""
     limits = given["gains"]
     if random.random() < _VARIED and {*limits} == {"min_gain", "max_gain"}:
         low, high = limits["min_gain"], limits["max_gain"]
@@ -226,8 +229,9 @@ def _vary_gains(random: Random, scenario: rv.Scenario, given: Given) -> None:
 
 
 def _of_several_models(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Robots of several models; half of the teams where a theorem is known: without double
-    integrators, with exact bearings, and without obstacles.
+    """Scenario with several robot models.
+
+    For half of them a theorem exists: no double integrators, exact bearings, no obstacles.
     """
     turning = "unicycle" if scenario.dim == 2 else "nonholonomic_3d"
     models = [turning, "single_integrator", "double_integrator"]
@@ -243,8 +247,9 @@ def _of_several_models(random: Random, scenario: rv.Scenario) -> rv.Scenario:
 
 
 def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Sensors that differ between robots: half of them miss neighbours by chance alone or are
-    late, for which a mean time or a time is bounded.
+    """Scenario with sensors that differ between robots.
+
+    Half of them miss neighbours at random only or are delayed, for which a bound is known.
     """
     n, r = scenario.n_robots, scenario.merge_radius
     if random.random() < 0.5 and scenario.sensing_graph.kind != "proximity":
@@ -298,9 +303,7 @@ def _by_chance_or_late(random: Random, scenario: rv.Scenario) -> tuple[rv.Sensin
 
 
 def _in_an_area(random: Random, scenario: rv.Scenario) -> rv.Scenario:
-    """Initial positions drawn in a rectangle or box; in the plane half of the time in two convex
-    parts of it.
-    """
+    """Scenario with initial positions in a rectangle or box, or in two convex parts of it."""
     r, dim = scenario.merge_radius, scenario.dim
     edges = [r * log_uniform(random, 16.0, 60.0) for _ in range(dim)]
     changes: dict[str, Any] = {"spawn_size": edges, "start_positions": None}
@@ -324,7 +327,7 @@ def other_starts(random: Random, scenario: rv.Scenario, places: Array, anew: flo
         )
         if start is None:
             start = places_of.changed(random, places[k % len(places)], r)
-        with suppress(ValueError):  # robots would stand in an obstacle, or in one place
+        with suppress(ValueError):  # robots would be in an obstacle, or coincide
             found.append(scenario.replace(start_positions=start))
         if len(found) == STARTS:
             break
@@ -352,15 +355,16 @@ def _arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, floa
 
 
 def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenario:
-    """Variant with bearing errors, noise, delay or missed detections tolerated by some theorem, and
-    equal gains if that theorem requires them.
+    """Variant with bearing errors, noise, delay or missed detections that some theorem tolerates.
+
+    Gains are equal if that theorem requires it.
     """
     n, step = scenario.n_robots, scenario.certified_step * log_uniform(random, 0.1, 1.0)
     passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
     exact = scenario.replace(sensing=rv.Sensing(), max_speed=None, obstacles=passed)
     lasting = exact.sensing_graph.kind not in GRAPHS["changing"]
     flaw = pick(random, "error", "error", "noise", "delay") if lasting else "error"
-    chance = random.spawn(1)[0]  # so that all else is drawn as without missed detections
+    chance = random.spawn(1)[0]  # other samples are then as without missed detections
     if chance.random() < _BY_CHANCE:
         sensing = by_chance(chance, scenario.merge_radius, step)
     elif flaw == "noise":
@@ -370,7 +374,7 @@ def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenar
         sensing = rv.Sensing(delay=late)
         step = exact.certified_step * random.uniform(0.3, 1.05) / (late + 1)
     else:
-        by = pick(random, *CHOICES, "heading", "law")  # which bear least
+        by = pick(random, *CHOICES, "heading", "law")  # the lowest tolerance
         if by == "gains":
             gain = min(exact.max_degree, exact.merge_radius / step) * random.uniform(0.05, 0.5)
             given[by] = {"min_gain": float(gain), "max_gain": float(gain)}
@@ -381,7 +385,7 @@ def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenar
         exact = exact.replace(time_step=step, time_limit=1000.0 * step)
         found = rv.certificate(exact, by=by, **given[by])
         error = found.tolerated_bearing_error * random.uniform(0.1, 0.99)
-        if random.random() < 0.6:  # turned as an adversary likes, not only outward
+        if random.random() < 0.6:  # rotated by an adversary, not only outward
             for own in given.values():
                 own["bearing_error"] = error
             return exact
@@ -390,8 +394,9 @@ def _tolerable(random: Random, scenario: rv.Scenario, given: Given) -> rv.Scenar
 
 
 def by_chance(random: Random, r: float, tau: float) -> rv.Sensing:
-    """Sensor that misses neighbours at random, with persistence or held rows in half of the cases,
-    and rarely with noise; for a merge radius r, m, and a step τ, s.
+    """Sensor that misses neighbours at random, for a merge radius r, m, and a step τ, s.
+
+    Half have persistence or held rows, few have noise.
     """
     fields: dict[str, Any] = {}
     if random.random() < 0.5:
@@ -444,8 +449,9 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
 
 
 def _corner(random: Random, kind: Kind, fields: dict[str, Any], reach: float) -> rv.Scenario:
-    """Critical scenarios: longest links; heavy and light links of robots that occlude each other;
-    nearly cancelling bearings in long steps of slow robots.
+    """Critical scenario: longest links, occluded light links, or nearly cancelling bearings.
+
+    The last have long steps and slow robots.
     """
     n, dim, r, at = fields["n_robots"], kind.dim, fields["merge_radius"], places_of
     place = {"fixed": at.on_line, "changing": at.in_wedge, "proximity": at.in_tail}[kind.graphs]
@@ -454,7 +460,7 @@ def _corner(random: Random, kind: Kind, fields: dict[str, Any], reach: float) ->
     if kind.graphs == "fixed" and not kind.exact:
         fields["sensing"] = rv.Sensing(occlusion="robots")
         fields["graph"] = _fixed(random, n, False, 1.0)
-        if random.random() < 0.5:  # in a row, and who is next has the light link
+        if random.random() < 0.5:  # in a row; the next robot has the light link
             gaps = [r * log_uniform(random, 2.0, 20.0) for _ in range(n)]
             fields["start_positions"] = at.along_x(gaps, dim)
             far = np.abs(np.arange(n)[:, None] - np.arange(n)) > 1
@@ -481,7 +487,7 @@ def _clock(random: Random, scenario: rv.Scenario) -> dict[str, Any]:
     """Time step and speed limits: 0.1 to 20 times the certified values."""
     fields: dict[str, Any] = {}
     if random.random() < 0.6:
-        longest = pick(random, 20.0, 20.0, 0.3)  # theorem N bears hardly any step
+        longest = pick(random, 20.0, 20.0, 0.3)  # theorem N tolerates only short steps
         fields["time_step"] = scenario.certified_step * log_uniform(random, 0.1, longest)
     tau = fields.get("time_step", scenario.tau)
     if random.random() < 0.35:
@@ -532,7 +538,7 @@ def random_graph(random: Random, kind: str, n: int, r: float) -> Any:
             pick(random, _fixed(random, n, True), _fixed(random, n, False), graphs.complete())
             for _ in range(int(random.integers(1, 4)))
         ]
-        if n > 3 and random.random() < 0.3:  # sides that see each other, and then all
+        if n > 3 and random.random() < 0.3:  # two sides with mutual links, then all
             side = np.arange(n) % 2
             across = (side[:, None] != side).astype(float)
             listed = [graphs.from_matrix(across), graphs.complete()]
@@ -563,7 +569,7 @@ def _sensing(random: Random, n: int, r: float, sight: float | None) -> rv.Sensin
     while (not fields or random.random() < 0.2) and (sight is None or random.random() < 0.4):
         name = str(pick(random, *names))
         fields.setdefault(name, flaws[name])
-    own = random.spawn(1)[0]  # so that all else is drawn as without effects of measured sensors
+    own = random.spawn(1)[0]  # other samples are then as without effects of measured sensors
     if own.random() < 0.5:
         fields = {key: value for key, value in fields.items() if key == "range"}
         effects = _effects(own, r)
@@ -588,7 +594,7 @@ def _effects(random: Random, r: float) -> dict[str, Any]:
 
 
 def _completed(fields: dict[str, Any], random: Random, n: int) -> dict[str, Any]:
-    """Fields with those that are of use only beside others."""
+    """Fields completed by those that depend on others."""
     if "delay" in fields:
         fields.pop("delay_time", None)
     if "noise_correlation" in fields:

@@ -34,8 +34,8 @@ _BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), T
 _MOST_TASKS = 256  # of a claim
 _SHOWN = "trials", "worst_margin", "worst_time_over_bound", "violations"
 """Printed columns of verify.csv."""
-_DRAWS = 10  # of a task that searches counterexamples of a policy
-_MOST_WRITTEN = 20  # violations of a search that are made small and written
+_DRAWS = 10  # initial conditions per task of a search for counterexamples
+_MOST_WRITTEN = 20  # maximum number of violations of a search to shrink and write
 
 EXAMPLES = (
     "--claims theorem-2 --trials 100000",
@@ -50,8 +50,9 @@ FLAG_GROUPS = {
 
 @dataclass(frozen=True)
 class Config(Workers):
-    """Check every claim of the theory on random teams, or search for counterexamples of a policy;
-    exit status 1 if one is violated or found.
+    """Check every claim of the theory on random environments, or search for counterexamples.
+
+    The exit status is 1 if a claim is violated or a counterexample of the policy is found.
     """
 
     trials: Annotated[int, Bounds(1, 10**8)] = 1000
@@ -80,19 +81,18 @@ class Config(Workers):
     hull grows, or robots make no progress. The simplest of each is written to OUT as a TOML file,
     with the choices that repeat it."""
     search: tuple[Literal["rise", "growth", "deadlock"], ...] = ("rise", "growth", "deadlock")
-    """What to look for with --policy: rises of V and growth of the convex hull in steps without a
-    merge or contact, and no progress for a long time. Certified headings and tanks keep V from
-    rising, and not the hull from growing."""
+    """Violations to search for with --policy: increases of V and growth of the convex hull in steps
+    without a merge or contact, and deadlocks. Certified headings and tanks prevent increases of V,
+    but not growth of the hull."""
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "fig3"
-    """Which robots, sensors and obstacles --policy has: the name of a scenario, or the path of a
-    TOML file."""
+    """Scenario of --policy: its name, or the path of a TOML file."""
     set: tuple[str, ...] = ()
-    """With --policy, other values for fields of the scenario, as in n_robots=9 time_limit=60."""
+    """With --policy, overrides of scenario fields, for example n_robots=9 time_limit=60."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
     """Discard the unfinished results of another command in OUT/verify.part."""
 
 
-class Task(NamedTuple):
+class WorkUnit(NamedTuple):
     """Independent unit of work: batches of a claim, or random scenarios."""
 
     name: str  # of its cell
@@ -107,11 +107,11 @@ def check_config(config: Config) -> None:
         unused |= dict.fromkeys(("scenario", "search", "set"), "add --policy")
     if config.any or config.policy is not None:
         which = "--random-scenarios" if config.any else "--policy"
-        why = f"{which} tries no claims: leave it out"
+        why = f"{which} checks no claims: omit it"
         unused |= dict.fromkeys(("claims", "only_batch", "min_alignment"), why)
     if config.any:
         del unused["kinds"]
-        words = "--random-scenarios asks for certificates, which no policy changes: leave it out"
+        words = "--random-scenarios checks certificates, which do not depend on a policy: omit it"
         unused |= {"policy": words}
     check_unused(config, unused)
     known = [claim.name for claim in CLAIMS]
@@ -148,10 +148,10 @@ def _run_claims(config: Config, claims: Sequence[Claim], console: Console) -> in
 
     tallies, rows = _finish(config, path, plan, _tasks_of_claims(config, claims), rows_of, console)
     shown = [
-        {"claim": claim.name, "what is checked": claim.statement, **{k: row[k] for k in _SHOWN}}
+        {"claim": claim.name, "quantity": claim.statement, **{k: row[k] for k in _SHOWN}}
         for claim, row in zip(claims, rows, strict=True)
     ]
-    console.print(table_of("What was proved, measured", shown))
+    console.print(table_of("Claims of the theory, checked numerically", shown))
     for row in rows:
         if row["violations"]:
             repeat = f"to repeat the first time:\n  {row['first_violation']}"
@@ -189,7 +189,7 @@ def _finish(
     config: Config,
     path: Path,
     plan: Mapping[str, Any],
-    tasks: Sequence[Task],
+    tasks: Sequence[WorkUnit],
     rows_of: Callable[[Mapping[str, Tally]], list[dict[str, Any]]],
     console: Console,
 ) -> tuple[dict[str, Tally], list[dict[str, Any]]]:
@@ -224,7 +224,7 @@ def _run_search(config: Config, policy: str, console: Console) -> int:
     for part in parts:
         given = policy, scenario, config.seed
         looks = (partial(policy_search.search, *given, k, config.search) for k in part)
-        tasks.append(Task(f"policy-{part[0]:07d}", "scenarios", tuple(looks)))
+        tasks.append(WorkUnit(f"policy-{part[0]:07d}", "scenarios", tuple(looks)))
 
     def rows_of(tallies: Mapping[str, Tally]) -> list[dict[str, Any]]:
         return policy_search.rows_of(tallies["scenarios"], config.search)
@@ -256,7 +256,7 @@ def _steps_of(tally: Tally) -> str:
     return f"{counted(tally.steps, 'step')} of {TEAMS} environments"
 
 
-def look(task: Task) -> Tally:
+def look(task: WorkUnit) -> Tally:
     """Run a task."""
     tally = Tally()
     for one in task.looks:
@@ -264,7 +264,7 @@ def look(task: Task) -> Tally:
     return tally
 
 
-def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
+def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[WorkUnit]:
     """Tasks of the claims, as batches with the number of environments that count."""
     count = math.ceil(config.trials / BATCH)
     batches = [(k, min(BATCH, config.trials - k * BATCH)) for k in range(count)]
@@ -276,18 +276,18 @@ def _tasks_of_claims(config: Config, claims: Sequence[Claim]) -> list[Task]:
     for claim, part in itertools.product(claims, parts):
         check = partial(cases.check, claim, config.seed, least_margin=config.min_alignment)
         looks = tuple(partial(check, number, count) for number, count in part)
-        tasks.append(Task(f"{claim.name}-{part[0][0]:07d}", claim.name, looks))
+        tasks.append(WorkUnit(f"{claim.name}-{part[0][0]:07d}", claim.name, looks))
     return tasks
 
 
-def _tasks_of_any(config: Config) -> list[Task]:
+def _tasks_of_any(config: Config) -> list[WorkUnit]:
     """Tasks of random scenarios, each of one kind, with a maximum number of kinds."""
     draws = math.ceil(config.trials / STARTS)
     parts = [range(k, min(k + DRAWS, draws)) for k in range(0, draws, DRAWS)]
     kinds, tasks = config.kinds or len(parts), []
     for k, part in enumerate(parts):
         looks = tuple(partial(_try_all, config.seed, number, k % kinds) for number in part)
-        tasks.append(Task(f"any-{k:07d}", "scenarios", looks))
+        tasks.append(WorkUnit(f"any-{k:07d}", "scenarios", looks))
     return tasks
 
 
@@ -350,8 +350,8 @@ def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
     """Table of rows, numbers right-aligned, violations in red."""
     table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for name, value in rows[0].items() if rows else ():
-        words = isinstance(value, str) and name in ("claim", "what is checked", "theorem")
-        # a word a line, so that what is named has room
+        words = isinstance(value, str) and name in ("claim", "quantity", "theorem")
+        # one word per line, to leave space for names
         table.add_column(name.replace("_", "\n"), justify="left" if words else "right")
     for row in rows:
         style = "bold red" if row["violations"] else None

@@ -88,7 +88,7 @@ class Robot(NamedTuple):
     entries: tuple[int, ...]  # (0, …, d² − 1), indices of frame entries
     memories: tuple[int, ...]  # (0, …, k − 1), indices of the model's memory
     limits: Any = None
-    """Constants of each robot, (n, constants), see ``motion.constants_of_robot``; None where all
+    """Constants of each robot, (n, constants), see ``motion.constants_of_robot``; None if all
     robots have those of ``model``."""
 
 
@@ -162,8 +162,8 @@ def store_positions(values, robots, lane, lanes):
 def is_near(environment, lane, lanes, reach):
     """True if the environment runs and a contact is possible in its next step.
 
-    ``reach`` is the square distance of neighbours, m², and the clearance, m, below which it is.
-    Distances are those of the last observation.
+    ``reach`` is the square distance of neighbours, m², and the clearance, m, below which a contact
+    is possible. Distances are those of the last observation.
     """
     near = environment[SQUARE_CLOSEST * lanes + lane] < reach[0]
     near |= environment[CLEARANCE * lanes + lane] < reach[1]

@@ -1,5 +1,6 @@
-"""The stages of what measured sensors do besides: blind zone, detection, errors with a memory or of
-one robot, outliers. They follow ``apply_noise`` and work as it does, over lanes.
+"""Stages of measured sensors: blind zone, detection, correlated errors, observer bias, outliers.
+
+They follow ``apply_noise`` and process lanes as it does.
 """
 
 import math
@@ -17,7 +18,7 @@ from .apply_noise import DRAWS, draw_turns, halve, highest_word, keep, sensing_k
 from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, is_due, parities, part_keys
 
 _DETECTS, _TURNS, _REPLACES = range(3)
-"""What is done to a row, in this order."""
+"""Effects on a row, in this order."""
 _UPPER_HALF = np.uint64(32)
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _HALF_SQUARE = np.float32(math.sqrt(0.5))
@@ -52,9 +53,10 @@ def apply_effects(
     buffer,
     rows,
 ):
-    """Drop rows of neighbours that are not detected, turn the others, and replace some. Rows are as
-    ``apply_noise`` has them; ``latent`` and ``errors`` are the memories of ``remember``. Nothing is
-    done in blocks in which no sample is due, as in all that follows.
+    """Drop rows of undetected neighbours, rotate the others, and replace outliers.
+
+    Rows are as in ``apply_noise``; ``latent`` and ``errors`` are the memories of ``remember``. This
+    and the following stages skip blocks in which no sample is due.
 
     Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L), buffer
     (≥ 3·L,).
@@ -93,8 +95,9 @@ def apply_effects(
 
 @inner_kernel(inline="code")
 def _apply(width, axes, entries, purpose, effects, ends, team, work, row):
-    """What a purpose does to a row. ``ends`` are the robots i and j, the number of the ordered pair
-    and the side of the couple that it is.
+    """Apply one effect to a row.
+
+    ``ends`` are the robots i and j, the number of the ordered pair and its side of the couple.
     """
     (i, j, number, side), (block, merged_into, robots, latent, errors) = ends, team
     keys, words, buffer = work
@@ -117,8 +120,9 @@ def _is_called_for(effects, purpose):
 
 @inner_kernel
 def _begin(width, block, moves, purpose, effects, streams, keys, words):
-    """The keys of what is drawn for a purpose, of white noise those of ``apply_noise``; and to
-    words[2] the ``parities`` of the step, where a memory keeps its numbers.
+    """Write the stream keys of an effect; white noise uses those of ``apply_noise``.
+
+    With a memory, words[2] receives the ``parities`` of the step.
     """
     seeds, episodes, environment = streams
     if purpose == _TURNS and not effects.drifts:
@@ -131,7 +135,7 @@ def _begin(width, block, moves, purpose, effects, streams, keys, words):
 
 @inner_kernel
 def _draw(width, axes, purpose, effects, couple, keys, words):
-    """What is drawn for a couple in a step: words[purpose, …]."""
+    """Random words of a couple in a step: words[purpose, …]."""
     if purpose == _DETECTS and effects.detects and not effects.remembers:
         halve(width, keys[1], couple, words[0, 0], words[0, 1])
     elif purpose == _TURNS and not effects.drifts:
@@ -142,9 +146,7 @@ def _draw(width, axes, purpose, effects, couple, keys, words):
 
 @inner_kernel
 def _find_chances(width, axes, effects, i, pair, buffer):
-    """The probability that robot i of a pair detects the other one, by their distance, in every
-    lane; and this.
-    """
+    """Probability that robot i of a pair detects the other, and their distance, in every lane."""
     lanes, own = lane_count(width), (i if len(effects.chances) > 1 else 0)
     (robot, other), table, points = pair, effects.chances[own], effects.distances[own]
     for lane in range(lanes):
@@ -188,7 +190,7 @@ def _detect(width, axes, entries, effects, pair, i, side, kept, buffer, words, r
 
 @inner_kernel
 def _turn(width, axes, effects, i, side, kept, keys, words, row):
-    """Turn a row by the noise of robot i: white as in ``apply_noise``, or by its memory."""
+    """Rotate a row by the noise of robot i: white as in ``apply_noise``, or from the memory."""
     level = effects.levels[i]
     if level > 0.0 and effects.drifts:
         if is_small(level):
@@ -201,7 +203,7 @@ def _turn(width, axes, effects, i, side, kept, keys, words, row):
 
 @inner_kernel(inline="code")
 def _turn_by(width, axes, level, small, kept, keys, odd, row):
-    """Turn a row by what a memory keeps of it in every lane, times a level."""
+    """Rotate a row by its error in a memory, times a level, in every lane."""
     errors, number = kept
     for lane in range(lane_count(width)):
         even_step, odd_step = errors[0, number, lane], errors[1, number, lane]
@@ -212,7 +214,7 @@ def _turn_by(width, axes, level, small, kept, keys, odd, row):
 
 @inner_kernel
 def _replace(width, axes, entries, effects, pair, team, keys, words, row):
-    """Replace a row by an outlier as long as it, in the lanes in which one is drawn."""
+    """Replace a row by an outlier of equal length in the lanes in which one is sampled."""
     lanes, (i, j, number), (block, merged_into, robots) = lane_count(width), pair, team
     if effects.outliers[i] == 0.0:
         return
@@ -238,7 +240,7 @@ def _replace(width, axes, entries, effects, pair, team, keys, words, row):
 
 @inner_kernel
 def _see_instead(axes, entries, robot, other, length, lane, lanes, row):
-    """Let a row of a length be the bearing of another robot; it stays where there is none."""
+    """Replace a row by the bearing of another robot, with its length; unchanged without one."""
     here = load_fields(robot, 0, lane, lanes, axes)
     there = load_fields(other, 0, lane, lanes, axes)
     distance = distance_of(here, there)
@@ -261,9 +263,7 @@ def _anywhere(row, length, word):
 
 @inner_kernel
 def _another(i, j, into, chance):
-    """One of the robots that have not merged, other than i and j, by a number in [0, 1); −1 if
-    there is none.
-    """
+    """Active robot other than i and j, selected by a number in [0, 1); −1 without one."""
     count = 0
     for k in range(len(into)):
         count += into[k] == k and k != i and k != j
@@ -296,11 +296,12 @@ def turn_silhouettes(
     words,
     rows,
 ):
-    """Noise of silhouettes, ``points`` rows each from the row ``own`` on: that of each robot, and
-    with a memory from the place ``start`` on.
+    """Apply noise to the angular extents of obstacles, with ``points`` rows each from ``own`` on.
+
+    The level is that of each robot; with a memory, errors begin at the index ``start``.
     """
     n = rows.shape[1]
-    slots = (rows.shape[2] - own) // points  # the remaining row, if any, is of the robot itself
+    slots = (rows.shape[2] - own) // points  # the remaining row, if any, is proprioception
     for block in range(first, last):
         if not is_due(width, moves, samples_per_step, environments[block]):
             continue
@@ -336,8 +337,10 @@ def turn_observers(
     turns,
     rows,
 ):
-    """Turn the rows from ``begin`` to ``end`` of each robot by the constant error of its sensor, of
-    these standard deviations, (n,), rad. Working memory: keys (2, L), turns (≥ 5·L,).
+    """Rotate the rows from ``begin`` to ``end`` of each robot by the bias of its sensor.
+
+    ``deviations``, (n,), rad, are its standard deviations. Working memory: keys (2, L), turns (≥
+    5·L,).
     """
     for block in range(first, last):
         if not is_due(width, moves, samples_per_step, environments[block]):
@@ -354,8 +357,9 @@ def turn_observers(
 
 @inner_kernel(inline="code")
 def _draw_turns(width, axes, deviation, i, keys, turns):
-    """The rotation of robot i's sensor in every lane: by N(0, σ²) in the plane, and in 3-D by a
-    rotation vector of three numbers of N(0, σ²/2).
+    """Sample the rotation of robot i's sensor in every lane.
+
+    N(0, σ²) in the plane, in 3-D a rotation vector of three numbers of N(0, σ²/2).
     """
     lanes = lane_count(width)
     for lane in range(lanes):

@@ -106,7 +106,7 @@ def _draw(width, axes, couple, errors, keys, words):
 
 @inner_kernel(inline="code")
 def draw_turns(width, axes, keys, first, words):
-    """The words that turn a couple's two rows, one in the plane, two in space."""
+    """Random words for the rotation of a couple's two rows: one in 2-D, two in 3-D."""
     if len(axes) == 2:
         halve(width, keys, first, words[0], words[1])
     else:
@@ -181,8 +181,10 @@ def see_within(width, axes, entries, reach, half_field, robot, other, row):
 
 @inner_kernel(inline="code")
 def _none_at_edge(width, axes, entries, half_field, robot, other):
-    """Whether all lanes have the other robot clear of the edge of the view, so that rounding cannot
-    change whether it is inside: angles are at least as far apart as their cosines.
+    """True if the other robot is clear of the edge of the view in all lanes.
+
+    Rounding then cannot change whether it is inside: angles differ at least as much as their
+    cosines.
     """
     lanes, cosine, close = lane_count(width), math.cos(half_field), 0.0
     for lane in range(lanes):
@@ -191,7 +193,7 @@ def _none_at_edge(width, axes, entries, half_field, robot, other):
         frame = load_fields(robot, len(axes), lane, lanes, entries)
         length = norm(offset)
         gap = abs(to_local(frame, offset)[0] - cosine * length)
-        clear = (gap > _NEAR_EDGE * length) | (length == 0.0)  # lanes without a team have zeros
+        clear = (gap > _NEAR_EDGE * length) | (length == 0.0)  # unused lanes are zero
         close = max(close, 0.0 if clear else 1.0)
     return close == 0.0
 

@@ -106,7 +106,7 @@ def delay_observations(
                 rows, now = shown[b, i], kept[b, step % length, i]
                 for k in range(len(now)):
                     now[k] = rows[k]
-                for t in range(length if step == 0 else 0):  # there is no earlier observation
+                for t in range(length if step == 0 else 0):  # no earlier observation
                     for k in range(len(now)):
                         kept[b, t, i, k] = rows[k]
                 due, active = (

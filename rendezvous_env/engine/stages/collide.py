@@ -271,9 +271,8 @@ def pack_robots(
 def reaches(rules, has_contacts):
     """Square distance of neighbours, m², and clearance, m, below which contact is possible.
 
-    In a step, distances decrease by at most 2 v_max τ, clearances by v_max τ and by the motion of
-    obstacles. ``rules`` are the
-    ``Constants``.
+    In a step, distances decrease by at most 2 v_max τ, clearances by v_max τ and the motion of
+    obstacles. ``rules`` are the ``Constants``.
     """
     reach = rules.speed_limit * rules.duration * _ROUNDING
     square = (rules.merge_radius * _ROUNDING + 2.0 * reach) ** 2

@@ -1,8 +1,8 @@
 """Stages of clocks and of failures, called only in scenarios with ``activation`` or ``events``.
 
-Before ``propose_motion``: a robot that is active takes its action as its command, any other one
-keeps its command or stands still; then crashes, adversaries, slip and disturbances change the
-command. After the motion local frames turn, and robots with a failed sensor observe nothing.
+Before ``propose_motion``: the command of an active robot is its action; other robots repeat their
+command or do not move; then crashes, adversaries, slip and disturbances change the command. After
+the motion local frames rotate, and robots with a failed sensor observe nothing.
 
 Loops over lanes are SIMD, apart from those that copy between lanes and arrays (B, n, …).
 """
@@ -46,8 +46,8 @@ _ZERO, _NONE, _ALL = np.float32(0.0), np.int32(0), np.int32(-1)
 _CRASHED, _ADVERSE = range(2)
 """Marks of a robot, 0 or 1, in the first fields of its motion, which is not yet in use."""
 _BESIDES = 3
-"""Field of the working memory of ``disturb_commands`` from which on a robot's velocity besides its
-command is, m/s; drawn velocities come first."""
+"""Field of the working memory of ``disturb_commands`` where a robot's added velocity begins, m/s,
+after the sampled velocities."""
 
 
 @kernel
@@ -154,7 +154,7 @@ def _schedule(width, rules, i, environment, keys, work):
 
 @inner_kernel(inline="code")
 def _choose(width, robot, rules, i, environment, state, own, stops, moves, work):
-    """Mark the lanes in which an adversary activates robot i, or has to.
+    """Mark the lanes in which an adversary activates robot i, or must do so.
 
     It compares the rates f_i · Δ_i, m²/s, at which the action and the command in execution, those
     of ``moves``, lower V; a robot that ``stops`` has none. One that was activated in this step
@@ -189,7 +189,7 @@ def _proposed(robot, model, frame, state, move, lane, lanes):
 
 @inner_kernel
 def _leave_out(width, n, start, count, environment, merged_into, activated):
-    """No activation of merged robots and in environments that are not running."""
+    """Clear the activation of merged robots, and in environments that are not running."""
     lanes = lane_count(width)
     for lane in range(count):
         running = environment[STATUS * lanes + lane] == RUNNING
@@ -274,7 +274,7 @@ def _any_marked(width, field, move):
 
 @inner_kernel(inline="code")
 def _execute(width, robot, move, work):
-    """Write the share of its command that a robot executes, and its velocity besides."""
+    """Write the fraction of its command that a robot executes, and its added velocity."""
     lanes, d = lane_count(width), len(robot.axes)
     for k in range(len(robot.inputs)):
         for lane in range(lanes):
@@ -285,7 +285,7 @@ def _execute(width, robot, move, work):
 
 @inner_kernel(inline="code")
 def _mark_faults(width, rules, start, count, faults, merged_into, environment, moves):
-    """Mark the robots that have crashed or are adversarial, which merged ones pass on."""
+    """Mark the robots that have crashed or are adversarial; a merged robot passes this on."""
     lanes, n = lane_count(width), len(moves)
     for lane in range(count):
         step = int(environment[STEPS * lanes + lane])
@@ -304,9 +304,9 @@ def _mark_faults(width, rules, start, count, faults, merged_into, environment, m
 
 @inner_kernel(inline="code")
 def _find_shares(width, robot, rules, counter, keys, move, work):
-    """Write the share of its command that a robot executes to the place of the path length.
+    """Write the fraction of its command that a robot executes to the field of the path length.
 
-    Slip reduces it, and it is 0 after a crash. Its velocity besides is 0 so far.
+    Slip reduces it, and it is 0 after a crash. The added velocity is initialised to 0.
     """
     lanes, d = lane_count(width), len(robot.axes)
     move[d * lanes : (d + 1) * lanes] = 1.0
@@ -405,7 +405,7 @@ def _draw_turns(width, walk, counter, keys, words, work):
 
 @inner_kernel(inline="code")
 def _turn_by(width, axes, entries, turn, draws, work, environment, robot):
-    """Turn the frame of a robot by its constant turn, a cosine and a sine, and by drawn ones."""
+    """Rotate the frame of a robot by its drift, a cosine and a sine, and by sampled angles."""
     lanes, d = lane_count(width), len(axes)
     for lane in range(lanes):
         running = environment[STATUS * lanes + lane] == RUNNING
@@ -472,7 +472,7 @@ def find_conditions(steps, merged_into, faults, crashed, adversarial, blind):
 
 @inner_kernel
 def _mark_failed(steps, merged_into, faults, event, failed):
-    """Mark the robots with an event before a step, which merged ones pass on."""
+    """Mark the robots with an event before a step; a merged robot passes it on."""
     n = failed.shape[1]
     for b in range(len(steps)):
         step, merged = int(steps[b]), 0

@@ -102,7 +102,7 @@ def _write_scores(width, start, end, environment, scores):
 def _leave_out_merged(
     width, start, end, all_earn, environment, merged_into, took_part, active, robot_rewards
 ):
-    """Mark merged robots as inactive; they earn a reward in the step of their merge, or always."""
+    """Mark merged robots as inactive; they are rewarded in the step of their merge, or always."""
     lanes, n = lane_count(width), merged_into.shape[1]
     for lane in range(end - start):
         b = start + lane

@@ -93,7 +93,7 @@ def _move_robots(
     work,
     contact,
 ):
-    """Displacements of the robots of one environment, and how far its obstacles come."""
+    """Displacements of the robots and obstacles of one environment."""
     plans, normals, _, _, executed, flags = work
     d, n = len(robot.axes), robots.shape[0]
     for i in range(n):
@@ -117,7 +117,7 @@ def _move_robots(
 
 @inner_kernel
 def _settle(robot, lanes, lane, settings, lengths, robots, move, world, work):
-    """Find out when robots hold up obstacles, the earliest first.
+    """Find the times at which robots block obstacles, the earliest first.
 
     Returns False if that fails; no obstacle moves then.
     """
@@ -141,7 +141,7 @@ def _settle(robot, lanes, lane, settings, lengths, robots, move, world, work):
 
 @inner_kernel
 def _try(robot, lanes, lane, i, settings, lengths, robots, move, world, work):
-    """Displacement and contact of one robot; returns when it holds up obstacles, or inf."""
+    """Displacement and contact of one robot; returns when it blocks obstacles, or inf."""
     plans, normals, levels, halts, executed, flags = work
     d = settings[2]
     point = load_point(robots[i], 0, lane, lanes, d)

@@ -1,7 +1,7 @@
-"""The stages that carry the memories of sensors from step to step, and hold rows between samples.
+"""Stages that update the memories of sensors, and hold rows between samples.
 
-Memories, (blocks, 2, count, L) float32, keep this step's numbers and those of the step before, each
-at the parity of its step: to sense a step again leaves them as they are.
+Memories, (blocks, 2, count, L) float32, store the numbers of this step and the previous one, each
+at the parity of its step. Repeating a step leaves them unchanged.
 """
 
 import math
@@ -18,7 +18,7 @@ from .apply_noise import halve
 DETECTED, DRIFTED, OUTLIER, OBSERVER = range(1, 5)
 """Parts of the stream of sensing."""
 _PART = np.uint64(0x9E6C63D0876A9A47)
-_FARTHEST = np.float32(6.34)  # of ``gaussian``; once in 4·10⁹ numbers beyond it
+_FARTHEST = np.float32(6.34)  # of ``gaussian``; one in 4·10⁹ numbers is beyond it
 _ONE_BIT, _MOST, _ZERO = np.uint32(1), np.float32(1.0 - 2.0**-24), np.float32(0.0)
 _ROUNDING = 1e-9  # Share of a sample period by which a step may miss a sample
 
@@ -31,7 +31,7 @@ def part_key(key, part):
 
 @inner_kernel
 def part_keys(width, block, moves, part, seeds, episodes, environment, keys):
-    """The keys of a part of the streams of sensing: of the episode, of the step."""
+    """Keys of a part of the sensing streams: of the episode, and of the step."""
     lanes = lane_count(width)
     for lane in range(min(lanes, len(seeds) - block * lanes)):
         key = stream_key(seeds[block * lanes + lane], episodes[block * lanes + lane], SENSING)
@@ -42,7 +42,7 @@ def part_keys(width, block, moves, part, seeds, episodes, environment, keys):
 
 @inner_kernel
 def parities(width, moves, environment, words):
-    """Of every lane the parity of its step, and whether that is the first one of an episode."""
+    """Parity of the step of every lane, and whether it is the first one of an episode."""
     lanes = lane_count(width)
     for lane in range(lanes):
         step = sensed_step(environment, lane, lanes, moves)
@@ -73,8 +73,9 @@ def is_due(width, moves, samples_per_step, environment):
 def remember_detection(
     width, first, last, moves, redraws, seeds, episodes, environments, keys, words, memory
 ):
-    """The u of every ordered pair: kept, or drawn anew by the ``Redraws`` of the observer. Working
-    memory: keys (2, L), words (3, 4, L).
+    """Update the u of every ordered pair: kept, or sampled again by the observer's ``Redraws``.
+
+    Working memory: keys (2, L), words (3, 4, L).
     """
     n = len(redraws.lowest)
     for block in range(first, last):
@@ -111,7 +112,7 @@ def _redraw(width, low, scale, words, odd, begins, even_step, odd_step):
 def remember_errors(
     width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
 ):
-    """Update the error e of every row: its share and a random part; as ``remember_detection``."""
+    """Update the error e of every row, see ``sensors.effects``; as ``remember_detection``."""
     share, rest = np.float32(kept), np.float32(math.sqrt(1.0 - kept * kept))
     for block in range(first, last):
         part_keys(width, block, moves, DRIFTED, seeds, episodes, environments[block], keys)

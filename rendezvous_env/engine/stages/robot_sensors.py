@@ -33,7 +33,7 @@ def limit_views(
 ):
     """Drop rows of neighbours beyond the range or outside the field of view of their observer.
 
-    Rows are as ``apply_noise`` has them. Working memory: listed (2, E), weights (E,), counts (n,).
+    Rows are as in ``apply_noise``. Working memory: listed (2, E), weights (E,), counts (n,).
     """
     n = robots.shape[1]
     for block in range(first, last):
@@ -53,8 +53,9 @@ def limit_views(
 
 @kernel
 def limit_views_of_silhouettes(width, axes, first, last, views, own, points, batch, rows):
-    """Drop obstacles outside the field of view of their observer; they have ``points`` rows each
-    from the row ``own`` on, in ``batch`` environments.
+    """Drop obstacles outside the field of view of their observer, in ``batch`` environments.
+
+    Each has ``points`` rows, from the row ``own`` on.
     """
     lanes, slots = lane_count(width), (rows.shape[2] - own) // points
     for block in range(first, last):

@@ -5,69 +5,59 @@ import numpy as np
 from ...compilation import inner_kernel, kernel
 from ...robots.motion import constants_of_robot, proprioception
 from ..memory import lane_count, load_fields
+from ..memory.transposition import TILE, transpose_tile
 
-_MANY_ROWS = 256  # rows that, with those of the other lanes, exceed the L1 cache
+_TOGETHER = 32  # rows that, with those of the other lanes, fit into the L1 cache
 
 
 @kernel
 def write_observations(width, axes, first, last, rows, observations):
     """Copy rows, (blocks, n, rows, L·d), to observations, (B, n, rows, d)."""
-    if len(axes) == 2:  # copy both numbers of a row at once
-        _copy_rows(width, 1, first, last, rows.view(np.float64), observations.view(np.float64))
-    else:
-        _copy_rows(width, 3, first, last, rows, observations)
-
-
-@inner_kernel(inline="code")
-def _copy_rows(width, parts, first, last, rows, observations):
     lanes, n_rows = lane_count(width), rows.shape[1] * rows.shape[2]
-    source = rows.reshape(rows.shape[0], n_rows, rows.shape[3])
-    target = observations.reshape(observations.shape[0], n_rows * parts)
-    for block in range(first, last):
-        start = block * lanes
-        some = target[start : start + lanes]
-        if n_rows < _MANY_ROWS:
-            _copy_four(source[block - first], some, parts)
-        else:
-            _copy_together(source[block - first], some, parts, 32)
+    if len(axes) == 2:  # both numbers of a row are one of float64
+        source = rows.view(np.float64).reshape(rows.shape[0], n_rows * lanes)
+        target = observations.view(np.float64).reshape(observations.shape[0], n_rows)
+        for block in range(first, last):
+            part = target[block * lanes : (block + 1) * lanes]
+            _transpose(lanes, source[block - first], part)
+    else:
+        source = rows.reshape(rows.shape[0], n_rows, 3 * lanes)
+        target = observations.reshape(observations.shape[0], 3 * n_rows)
+        for block in range(first, last):
+            part = target[block * lanes : (block + 1) * lanes]
+            _copy_triples(source[block - first], part)
 
 
 @inner_kernel(inline="code")
-def _copy_four(source, target, parts):
-    """Copy four adjacent rows of a lane at a time, written out, and the remaining ones."""
-    whole = len(source) - len(source) % 4
-    for k in range(0, whole, 4):
-        one, two, three, four = source[k], source[k + 1], source[k + 2], source[k + 3]
-        for lane in range(len(target)):
-            out = target[lane]
-            for part in range(parts):
-                own = lane * parts + part
-                out[k * parts + part] = one[own]
-                out[(k + 1) * parts + part] = two[own]
-                out[(k + 2) * parts + part] = three[own]
-                out[(k + 3) * parts + part] = four[own]
-    _copy_singly(whole, source, target, parts)
+def _transpose(lanes, source, target):
+    """Copy rows, (rows·L,), to the environments of a block, (up to L, rows).
+
+    The last tiles overlap others instead of being smaller.
+    """
+    count, n_rows = target.shape
+    if count < TILE or n_rows < TILE:
+        for row in range(n_rows):
+            for lane in range(count):
+                target[lane, row] = source[row * lanes + lane]
+        return
+    flat = target.reshape(target.size)
+    for k in range(0, count, TILE):
+        lane = min(k, count - TILE)
+        for j in range(0, n_rows, TILE):
+            row = min(j, n_rows - TILE)
+            start, begin = row * lanes + lane, lane * n_rows + row
+            transpose_tile(source, start, lanes, flat, begin, n_rows)
 
 
 @inner_kernel(inline="code")
-def _copy_together(source, target, parts, count):
-    """Copy several adjacent rows of a lane at a time, and the remaining ones individually."""
-    whole = len(source) - len(source) % count
-    for k in range(0, whole, count):
+def _copy_triples(source, target):
+    """Copy rows of three numbers, some adjacent ones of a lane at a time."""
+    n_rows = len(source)
+    for k in range(0, n_rows, _TOGETHER):
         for lane in range(len(target)):
-            for row in range(k, k + count):
-                for part in range(parts):
-                    target[lane, row * parts + part] = source[row, lane * parts + part]
-    _copy_singly(whole, source, target, parts)
-
-
-@inner_kernel(inline="code")
-def _copy_singly(first, source, target, parts):
-    """Copy the rows from ``first`` on, one after another."""
-    for row in range(first, len(source)):
-        for lane in range(len(target)):
-            for part in range(parts):
-                target[lane, row * parts + part] = source[row, lane * parts + part]
+            for row in range(k, min(k + _TOGETHER, n_rows)):
+                for part in range(3):
+                    target[lane, 3 * row + part] = source[row, 3 * lane + part]
 
 
 @kernel

@@ -14,8 +14,8 @@ from ...safety.turning import Robot
 from ..arrays.array_form import Array, array_form, select, square_root
 
 
-class Seen(NamedTuple):
-    """The last observation, as far as actions depend on it."""
+class LastObservation(NamedTuple):
+    """Last observation, as far as actions depend on it."""
 
     frames: Array  # (n, d, d, *batch), of the policy; columns are axes in the robot's frame
     net_bearing: Array  # (n, d, *batch), f, m/s
@@ -23,14 +23,18 @@ class Seen(NamedTuple):
     pitch: Array  # (n, *batch), β, rad; 0 in the plane
 
 
-def nothing_seen(n: int, d: int, batch: tuple[int, ...], dtype: Any) -> Seen:
+def nothing_seen(n: int, d: int, batch: tuple[int, ...], dtype: Any) -> LastObservation:
     """State before the first observation: frames equal to the local ones."""
     identity = jnp.eye(d, dtype=dtype).reshape(d, d, *[1] * len(batch))
     zero = jnp.zeros((n, d, *batch), dtype)
-    return Seen(jnp.broadcast_to(identity, (n, d, d, *batch)), zero, zero[:, 0], zero[:, 0])
+    return LastObservation(
+        jnp.broadcast_to(identity, (n, d, d, *batch)), zero, zero[:, 0], zero[:, 0]
+    )
 
 
-def look(safety_filter: SafetyFilter, robot: Robot, rows: Array, seen: Seen) -> tuple[Array, Seen]:
+def look(
+    safety_filter: SafetyFilter, robot: Robot, rows: Array, seen: LastObservation
+) -> tuple[Array, LastObservation]:
     """Rows (n, rows, d, *batch) in the frame of the policy: x along f (theory 7)."""
     exact, slots = rows.astype(seen.net_bearing.dtype), robot.neighbour_slots
     neighbours = exact[:, :slots]
@@ -50,7 +54,7 @@ def look(safety_filter: SafetyFilter, robot: Robot, rows: Array, seen: Seen) -> 
     return turned.astype(rows.dtype), seen
 
 
-def held(safety_filter: SafetyFilter, choices: Array, seen: Seen) -> Any:
+def held(safety_filter: SafetyFilter, choices: Array, seen: LastObservation) -> Any:
     """Choices (n, k, *batch) as a tuple; vectors in the robots' frames."""
     if safety_filter.along_net_bearing:
         choices = jnp.sum(seen.frames * choices[:, None], axis=2)

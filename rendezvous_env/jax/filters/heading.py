@@ -17,16 +17,16 @@ from ...safety.heading import (
 )
 from ...safety.turning import Gate, desired_rates, gated_rates, mean_axis, rates_of
 from ..arrays.array_form import Array, array_form
-from .frames import Seen, held, look, nothing_seen
+from .frames import LastObservation, held, look, nothing_seen
 
 Vector = Any
 
 
-class Memory(NamedTuple):
+class HeadingMemory(NamedTuple):
     """State of the filter between steps."""
 
     headings: Array  # (n, d, *batch), in the robots' frames; zero if none yet
-    seen: Seen
+    seen: LastObservation
 
 
 class Heading:
@@ -41,16 +41,16 @@ class Heading:
         self.filter, self._sent_as = safety_filter, sent_as
         self._constants = safety_filter._constants
 
-    def begin(self, n: int, d: int, batch: tuple[int, ...], dtype: Any) -> Memory:
+    def begin(self, n: int, d: int, batch: tuple[int, ...], dtype: Any) -> HeadingMemory:
         """State before the first observation."""
-        return Memory(jnp.zeros((n, d, *batch), dtype), nothing_seen(n, d, batch, dtype))
+        return HeadingMemory(jnp.zeros((n, d, *batch), dtype), nothing_seen(n, d, batch, dtype))
 
-    def observe(self, rows: Array, memory: Memory) -> tuple[Array, Memory]:
+    def observe(self, rows: Array, memory: HeadingMemory) -> tuple[Array, HeadingMemory]:
         """Rows (n, rows, d, *batch) in the frame of the policy."""
         rows, seen = look(self.filter, self._constants.robot, rows, memory.seen)
         return rows, memory._replace(seen=seen)
 
-    def apply(self, choices: Array, memory: Memory) -> tuple[Array, Memory]:
+    def apply(self, choices: Array, memory: HeadingMemory) -> tuple[Array, HeadingMemory]:
         """Actions (n, a, *batch) of choices (n, k, *batch), by law (4)."""
         if self.filter.turns_body:
             return self._turn_bodies(choices, memory), memory
@@ -78,7 +78,7 @@ class Heading:
         scale = array_form(scale_of_step)
         return sure * scale(degree, robot.merge_radius, robot.gate.duration)
 
-    def _turn_bodies(self, choices: Array, memory: Memory) -> Array:
+    def _turn_bodies(self, choices: Array, memory: HeadingMemory) -> Array:
         """Gated turn rates, and speed v = s mᵀf along the mean body axis m (theory 4)."""
         seen, gate = memory.seen, self._constants.robot.gate
         f = array_form(triple)(vector_of(seen.net_bearing))

@@ -24,17 +24,17 @@ from ...safety.tank import (
 )
 from ...safety.turning import Robot, desired_rates, gated_rates, rates_of
 from ..arrays.array_form import Array, array_form, select
-from .frames import Seen, held, look, nothing_seen
+from .frames import LastObservation, held, look, nothing_seen
 from .heading import turned, vector_of
 
 
-class Memory(NamedTuple):
+class TankMemory(NamedTuple):
     """State of the filter between steps."""
 
     levels: Array  # (n, *batch), stored energy A, m²/s
     deposits: Array  # (n, *batch), G of the action in progress, m²/s
     linked: Array  # (n, *batch), whether a robot has seen a neighbour before the action
-    seen: Seen
+    seen: LastObservation
 
 
 class Account(NamedTuple):
@@ -44,7 +44,7 @@ class Account(NamedTuple):
     degree: Array  # D, m/s
     strength: Array  # ‖f‖, m/s
     scale: Array  # s of theorem D
-    owed: Array  # decrease of V that a step must promise, m²/s
+    owed: Array  # required decrease of V in a step, m²/s
     error: Any  # e, the error of f, m/s; 0.0 where bearings are exact
 
 
@@ -97,13 +97,13 @@ class Tank:
         self.filter, self._sent_as = safety_filter, sent_as
         self._robot, self._unit = safety_filter._robot, unit_of_tanks(safety_filter.scenario)
 
-    def begin(self, n: int, d: int, batch: tuple[int, ...], dtype: Any) -> Memory:
+    def begin(self, n: int, d: int, batch: tuple[int, ...], dtype: Any) -> TankMemory:
         """State before the first observation: the budget."""
         zero = jnp.zeros((n, *batch), dtype)
         seen = nothing_seen(n, d, batch, dtype)
-        return Memory(zero + self.filter.budget, zero, jnp.zeros((n, *batch), bool), seen)
+        return TankMemory(zero + self.filter.budget, zero, jnp.zeros((n, *batch), bool), seen)
 
-    def observe(self, rows: Array, memory: Memory) -> tuple[Array, Memory]:
+    def observe(self, rows: Array, memory: TankMemory) -> tuple[Array, TankMemory]:
         """Rows (n, rows, d, *batch) in the frame of the policy, and a row with the level."""
         rows, seen = look(self.filter, self._robot, rows, memory.seen)
         if self.filter.observes_level:
@@ -112,7 +112,7 @@ class Tank:
             rows = jnp.concatenate([rows, jnp.stack([level, *none], axis=1)[:, None]], axis=1)
         return rows, memory._replace(seen=seen)
 
-    def apply(self, choices: Array, memory: Memory) -> tuple[Array, Memory]:
+    def apply(self, choices: Array, memory: TankMemory) -> tuple[Array, TankMemory]:
         """Actions (n, a, *batch) of choices (n, k, *batch): executed where A + G ≥ 0."""
         spend = self._spend_bodies if self.filter.turns_body else self._spend
         actions, deposits = spend(choices, memory)
@@ -121,7 +121,7 @@ class Tank:
             deposits=jnp.where(sees, deposits, 0.0), linked=sees
         )
 
-    def _spend(self, choices: Array, memory: Memory) -> tuple[Array, Array]:
+    def _spend(self, choices: Array, memory: TankMemory) -> tuple[Array, Array]:
         """``tank._spend``: velocities and deposits of single integrators."""
         robot, seen = self._robot, memory.seen
         account = account_of(vector_of(seen.net_bearing), seen.degree, robot)
@@ -129,7 +129,7 @@ class Tank:
         sent, deposits = executed(desired, account, memory.levels, robot)
         return jnp.stack(sent, axis=1), deposits
 
-    def _spend_bodies(self, choices: Array, memory: Memory) -> tuple[Array, Array]:
+    def _spend_bodies(self, choices: Array, memory: TankMemory) -> tuple[Array, Array]:
         """``tank._spend_bodies``: actions and deposits of nonholonomic robots."""
         robot, seen, gate = self._robot, memory.seen, self._robot.gate
         limit, radius, pitch = robot.speed_limit, robot.merge_radius, seen.pitch
@@ -155,7 +155,9 @@ class Tank:
         sent = select(accepted, (speed, *wanted), (law_speed, *turning))
         return jnp.stack(sent, axis=1), jnp.where(accepted, deposit, law_deposit)
 
-    def update(self, memory: Memory, contact: Array, merged_into: Array, ran: Array) -> Memory:
+    def update(
+        self, memory: TankMemory, contact: Array, merged_into: Array, ran: Array
+    ) -> TankMemory:
         """``tank._book``: A ← max(A + G, 0) in environments that ran, (*batch)."""
         deposits = jnp.where(ran & ~(contact & (memory.deposits > 0.0)), memory.deposits, 0.0)
         levels = jnp.maximum(memory.levels + deposits, 0.0)

@@ -22,7 +22,7 @@ from ...physics.vectors import cross, dot
 from ...robots.motion import SLID, STOPPED, chord_error_bound, displacement_at, period
 from ..arrays.array_form import Array, array_form, norm_of, select
 from ..arrays.selection import divided
-from ..arrays.some_teams import for_teams
+from ..arrays.some_envs import for_envs
 from .fields import Fields
 from .shapes import Shapes, World
 
@@ -385,7 +385,7 @@ class ObstacleContact:
             return self._stop(self._world_of(obstacles, given["environment"]), given)
 
         otherwise = given["way"], jnp.zeros(near.size, bool)
-        moved, contact = for_teams(near.reshape(-1), stop, given, otherwise, self._every)
+        moved, contact = for_envs(near.reshape(-1), stop, given, otherwise, self._every)
         moved = jnp.stack([part.reshape(shape) for part in moved], axis=1)
         return moved, contact.reshape(shape)
 

@@ -42,10 +42,10 @@ class World(NamedTuple):
     present: Array  # (M, *batch), bool
     shapes: Array  # (M, width, *batch), see ``obstacles.shape``
     skins: Array  # (M, *batch), m
-    edges: Any = None  # ``Edges`` of polygons, see ``Shapes.with_edges``
+    edges: Any = None  # ``PolygonEdges`` of polygons, see ``Shapes.with_edges``
 
 
-class Edges(NamedTuple):
+class PolygonEdges(NamedTuple):
     """Edges of polygons in order, (P, K, *batch): see ``polygon._edge``."""
 
     x: Array
@@ -74,7 +74,7 @@ COARSE = Tolerances(1e-4, -1e-5, 1e-5, 1e-5, 1e-6, 1e-10)
 class _Rows:
     """Rows (M, width, *batch) as the row of a kernel: entry k is an array (M, *batch)."""
 
-    def __init__(self, rows: Array, edges: Edges | None) -> None:
+    def __init__(self, rows: Array, edges: PolygonEdges | None) -> None:
         self._rows, self.edges = rows, edges
 
     def __getitem__(self, k: int) -> Array:
@@ -250,7 +250,7 @@ def _capsule_cone(rows: Any, corners: Any, point: Any, axes: Any, out: Any) -> N
         out[k][:] = ray_at(hits)
 
 
-def _edges_of(rows: Any, corners: Any) -> Edges:
+def _edges_of(rows: Any, corners: Any) -> PolygonEdges:
     """Edges of polygons in order; those beyond the corners of a polygon do not exist."""
     most = int(np.max(corners))
     following = np.arange(1, most + 1) % np.asarray(corners)[:, None]
@@ -258,10 +258,10 @@ def _edges_of(rows: Any, corners: Any) -> Edges:
     x, y = (jnp.stack([rows[OWN + 2 * k + axis] for k in range(most)], axis=1) for axis in (0, 1))
     dx, dy = x[chosen] - x, y[chosen] - y
     length = square_root(dx * dx + dy * dy)
-    return Edges(x, y, divided(dx, length), divided(dy, length), length)
+    return PolygonEdges(x, y, divided(dx, length), divided(dy, length), length)
 
 
-def _exist(edges: Edges, corners: Any) -> Any:
+def _exist(edges: PolygonEdges, corners: Any) -> Any:
     """Whether edges exist, (P, K, 1, …)."""
     counts, most = np.asarray(corners)[:, None], edges.x.shape[1]
     return (np.arange(most) < counts).reshape(len(counts), most, *[1] * (edges.x.ndim - 2))

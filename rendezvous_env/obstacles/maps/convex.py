@@ -1,6 +1,6 @@
 """Convex pieces of areas, and their outlines: simplified outwards, and grown to overlap.
 
-Distances are in the units of the area. ``simplified`` never frees anything:
+Distances are in the units of the area. ``simplified`` never shrinks an area:
 
     A ⊆ simplified(A, t) ⊆ A ⊕ B(t)
 

@@ -44,7 +44,7 @@ class Area(NamedTuple):
     """Extent of the map: least x and y, largest x and y."""
     pose: Pose
     bordered: bool
-    """True if nothing is known beyond the bounds, as in a grid."""
+    """True if the map is unknown beyond the bounds, as in a grid."""
 
 
 def area_of(occupied: NDArray[np.bool_], pose: Pose) -> Area:

@@ -67,5 +67,5 @@ def _header(path: Path, lines: list[str]) -> tuple[int, int]:
             raise ValueError(f"{path}, line {k + 1}: is {found}; it must be {what!r}")
     if sizes["height"] * sizes["width"] > MAX_CELLS:
         size = f"{sizes['width']} x {sizes['height']} cells"
-        raise ValueError(f"{path}: has {size}; at most {MAX_CELLS} may be; crop it")
+        raise ValueError(f"{path}: has {size}; the maximum is {MAX_CELLS}; crop it")
     return sizes["height"], sizes["width"]

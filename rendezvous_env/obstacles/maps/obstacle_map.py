@@ -1,4 +1,4 @@
-"""Obstacles of a map, and the region in which robots start."""
+"""Obstacles of a map, and the region of initial positions."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from .convex import convex_pieces, grown, simplified
 from .grid import Area
 
 GROWTH = 2 * LEAST_THICKNESS
-"""Length by which every shape is larger than its piece of the map along both axes, m: shapes
-overlap, and no seam is between them."""
+"""Length by which every shape exceeds its piece of the map along both axes, m: shapes overlap
+without seams."""
 _SEGMENTS = 2  # chords of a quarter circle
 _SIMPLER = 0.25  # of the clearance; tolerance of the outline of a start region
 _BORDER = 2.0  # thickness of the walls around a grid, cells
@@ -82,7 +82,7 @@ class ObstacleMap(Sequence[Polygon]):
     def scenario_fields(
         self, clearance: float, near: tuple[float, float] | None = None
     ) -> dict[str, Any]:
-        """Fields of a scenario with these obstacles and starts, see ``free_region``."""
+        """Fields of a scenario with these obstacles and this start region, see ``free_region``."""
         return {
             "obstacles": self.shapes,
             "start_region": self.free_region(clearance, near),
@@ -122,7 +122,7 @@ class ObstacleMap(Sequence[Polygon]):
 
 
 def _is_thick(vertices: NDArray[np.float64]) -> bool:
-    """True if a piece is thick enough for a ``Polygon``; starts in others are not missed."""
+    """True if a piece is thick enough for a ``Polygon``; thinner ones are negligible."""
     import shapely
 
     return not shapely.Polygon(vertices).buffer(-2.0 * LEAST_THICKNESS).is_empty
@@ -141,7 +141,7 @@ def shapes_of(source: str, area: Area, tolerance: float, most: int) -> ObstacleM
         if most < MAX_OBSTACLES:
             remedy += f", or max_shapes larger, at most {MAX_OBSTACLES}"
         raise ValueError(
-            f"{source}: the map makes {len(pieces)} shapes, more than max_shapes = {most}; "
+            f"{source}: the map has {len(pieces)} shapes, more than max_shapes = {most}; "
             f"make {remedy}"
         )
     outlines = (pose.apply(grown(piece, GROWTH / scale)) for piece in pieces)
@@ -153,7 +153,7 @@ def shapes_of(source: str, area: Area, tolerance: float, most: int) -> ObstacleM
 
 
 def _border(bounds: tuple[float, float, float, float]) -> list[NDArray[np.float64]]:
-    """Walls around a grid, beyond which nothing is known."""
+    """Walls around a grid, beyond which the map is unknown."""
     x0, y0, x1, y1 = bounds
     w = _BORDER
     boxes = (

@@ -123,7 +123,7 @@ def _pixels(path: Path, image: Path) -> tuple[NDArray[np.float64], NDArray[np.bo
         with pil.open(image) as file:
             if file.width * file.height > MAX_CELLS:
                 size = f"{file.width} x {file.height} pixels"
-                raise ValueError(f"{image}: has {size}; at most {MAX_CELLS} may be; crop it")
+                raise ValueError(f"{image}: has {size}; the maximum is {MAX_CELLS}; crop it")
             return _grey(file)
     except FileNotFoundError as error:
         raise ValueError(f"{path}: image is {str(image)!r}; it does not exist") from error

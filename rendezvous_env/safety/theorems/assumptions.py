@@ -20,14 +20,14 @@ _LEAST_MOVE, _LEAST_GAIN = 2.0**-40, 2.0**-47
 _FAR_OUT_MOVE, _FAR_OUT_GAIN = 2.0**-46, 2.0**-51
 _ROUNDED_OFF = 2.0**-52
 """Bound on the rounding of a position relative to the largest coordinate (float64: 2⁻⁵³)."""
-_PAID = 2.0**-6  # of r W: so much rounding may pay in an episode
+_PAID = 2.0**-6  # of r W: maximum gain by rounding in an episode
 _WHY_NOT = {
-    known.DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
+    known.DIRECTED: "V needs mutual links, and here visibility may be one-way",
     known.SWITCHING: (
-        "what lets V fall in one graph lets it rise in the next: three robots on paths that take "
-        "turns grow without end under law (4) for ε < 0.277"
+        "a motion that decreases V on one graph can increase it on the next: on three "
+        "alternating paths three robots diverge under law (4) for ε < 0.277"
     ),
-    known.PROXIMITY: "robots that are moved by it may lose sight of each other for ever",
+    known.PROXIMITY: "robots that move by it may lose each other permanently",
 }
 
 
@@ -38,7 +38,7 @@ def on_graphs(*kinds: str) -> Assumption:
         kind = known.kind_of_links(scenario.sensing_graph)
         if kind in kinds:
             return ""
-        why = _WHY_NOT[kind] if asked.by != "links" else "theorem R needs that both see each other"
+        why = _WHY_NOT[kind] if asked.by != "links" else "theorem R needs mutual visibility"
         instead = "links" if kind == known.PROXIMITY else "gains"
         return (
             f'none: by="{asked.by}" has no theorem on {kind} graphs: {why}; by="{instead}" has one'
@@ -47,10 +47,10 @@ def on_graphs(*kinds: str) -> Assumption:
     return holds
 
 
-undirected = on_graphs(known.UNDIRECTED)  # links are mutual and last but for merges
+undirected = on_graphs(known.UNDIRECTED)  # links are mutual and end only by merging
 without_range = on_graphs(known.UNDIRECTED, known.DIRECTED, known.SWITCHING)
-"""Links do not end with distance."""
-_ANY_LINKS = "none: with require_connected=False a family of one's own need not connect its robots"
+"""Links do not depend on distance."""
+_ANY_LINKS = "none: with require_connected=False a custom family need not connect its robots"
 
 
 def _any_links(scenario: Scenario) -> bool:
@@ -74,8 +74,8 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
         return ""
     when = " at some time" if known.kind_of_links(scenario.sensing_graph) == known.SWITCHING else ""
     return (
-        f"none: robots {' and '.join(map(str, groups))} see nobody outside their own group{when}; "
-        "theorem G needs one that can be reached from all, always"
+        f"none: robots {' and '.join(map(str, groups))} observe no robot outside their "
+        f"group{when}; theorem G needs a robot that all others can always reach"
     )
 
 
@@ -112,7 +112,7 @@ def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
         return ""
     model = others[0]
     if asked.by == "tank":
-        no_time = f"none: no time by which {model.name} robots meet under a tank is proven"
+        no_time = f"none: no time bound is proven for {model.name} robots under a tank"
         return no_time + _even_so(scenario, asked, "; theorem D still keeps V bounded")
     return (
         f"none: theorems G and R are for robots whose action is their velocity, and that of "
@@ -130,8 +130,8 @@ def frames_stay(scenario: Scenario, asked: Asked) -> str:
     if not frame_turns(type(constants_of(scenario))):
         return ""
     return (
-        f"none: frames of {scenario.model.name} robots turn, and late bearings are those of the "
-        "frame in which they were seen"
+        f"none: frames of {scenario.model.name} robots turn, and delayed bearings refer to an "
+        "earlier frame"
     )
 
 
@@ -146,15 +146,15 @@ def no_obstacles(scenario: Scenario, asked: Asked) -> str:
     if not scenario.obstacles or scenario.obstacle_contact == "ignore":
         return ""
     if asked.by == "links":
-        return "none: obstacles turn robots aside, and links beside them may grow longer"
+        return "none: obstacles deflect robots, and links may grow longer"
     rest = {
         "heading": "; with certified headings V still never rises between merges in a step without "
         "a contact",
         "tank": "; theorem D still keeps V bounded in motion without a contact, but no time is "
         "proven",
-        "gains": "; nothing is proven of gains beside them",
+        "gains": "; no theorem covers gains with obstacles",
     }
-    held_back = "none: obstacles can hold a robot back for ever (theory 6)"
+    held_back = "none: an obstacle can block a robot permanently (theory 6)"
     return held_back + _even_so(scenario, asked, rest.get(asked.by, ""))
 
 
@@ -164,7 +164,7 @@ def merges_everywhere(scenario: Scenario, asked: Asked) -> str:
         return ""
     return (
         "none: with merge_through_obstacles=False robots on both sides of an obstacle may be "
-        "nearer than r, where V can rise"
+        "nearer than r, where V can increase"
     )
 
 
@@ -180,16 +180,16 @@ def only_late(scenario: Scenario, asked: Asked) -> str:
     late = any(scenario.sensing.largest(name) > 0 for name in names)
     if late and departs_in(scenario, *names) and asked.error == 0.0:
         return ""
-    otherwise = "theorem E1 is for bearings that are late and nothing else"
+    otherwise = "theorem E1 is for bearings that are only delayed"
     return f"none: {otherwise} ({scenario.sensing.departures()})"
 
 
 _CHANCE = "dropout", "detection", "persistence", "sample_period"
-"""Fields of ``Sensing`` under which every neighbour is detected sooner or later."""
+"""Fields of ``Sensing`` under which every neighbour is eventually detected."""
 
 
 def departs_by_chance(*more: str) -> Assumption:
-    """Neighbours are missed by chance alone, and rows may be held; or the fields ``more`` are set.
+    """Neighbours are missed only at random, and rows may be held; the fields ``more`` may be set.
 
     With "noise" among them, it is white and of one level.
     """
@@ -199,7 +199,7 @@ def departs_by_chance(*more: str) -> Assumption:
         by_chance = departs_in(scenario, *_CHANCE, *more) and not sensing.exact
         if by_chance and isinstance(sensing.noise, float) and asked.error == 0.0:
             return ""
-        return f"none: the mean time is known of detection by chance ({sensing.departures()})"
+        return f"none: the mean time is known for random detection only ({sensing.departures()})"
 
     return holds
 
@@ -213,7 +213,7 @@ def _mean_time(scenario: Scenario, asked: Asked) -> str:
     exact = vars(Sensing())
     hides = ("range", "min_range", "field_of_view", "view_falloff", "occlusion")
     if out := [name for name in hides if getattr(scenario.sensing, name) != exact[name]]:
-        return f"; no mean time is bounded, since {out[0]} can hide a neighbour for ever"
+        return f"; the mean time is unbounded, since {out[0]} can hide a neighbour permanently"
     return ""
 
 
@@ -221,7 +221,7 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     """Bearings are current, with a bounded error."""
     sensing = scenario.sensing
     if sensing.custom:
-        return f"none: no theorem knows what a custom sensor sees ({sensing.departures()})"
+        return f"none: no theorem covers custom sensors ({sensing.departures()})"
     if sensing.noise or sensing.bias or sensing.observer_bias or sensing.outliers:
         return (
             "none: the theorems hold for exact bearings, or errors up to a bound, and this "
@@ -229,18 +229,17 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
         ) + _mean_time(scenario, asked)
     if sensing.sample_period:
         return (
-            "none: this theorem holds for bearings of the moment, and this sensor's are held "
-            f"between samples ({sensing.departures()}); theorem E1 covers a constant delay"
+            "none: this theorem holds for current bearings, and this sensor's are held between "
+            f"samples ({sensing.departures()}); theorem E1 covers a constant delay"
         ) + _mean_time(scenario, asked)
     if sensing.delay or sensing.delay_time:
         return (
-            "none: this theorem holds for bearings of the moment, and this sensor's are late "
-            f"({sensing.departures()}); theorem E1 covers law (1) on late ones that are exact"
+            "none: this theorem holds for current bearings, and this sensor's are delayed "
+            f"({sensing.departures()}); theorem E1 covers law (1) with exact delayed bearings"
         )
     if asked.by in ("heading", "tank", "links") and asked.error > math.pi / 2.0:
         return (
-            f"none: bearings may err by {asked.error:.4g} rad, and no wrapper can be told of more "
-            "than π/2 rad"
+            f"none: bearings may err by {asked.error:.4g} rad, and wrappers accept at most π/2 rad"
         )
     return ""
 
@@ -250,7 +249,7 @@ def all_neighbours_visible(scenario: Scenario, asked: Asked) -> str:
     if departs_in(scenario, "error", "sectors"):
         return ""
     return (
-        f"none: neighbours can be out of sight ({scenario.sensing.departures()}); a theorem needs "
+        f"none: neighbours can be invisible ({scenario.sensing.departures()}); a theorem needs "
         "all of them"
     ) + _mean_time(scenario, asked)
 
@@ -277,7 +276,7 @@ def exact_bearings(scenario: Scenario, asked: Asked) -> str:
         return f"none: theorems T, 3 and 4 are for exact bearings{stays}"
     return (
         f"none: bearings may err by {asked.error:.4g} rad, and this theorem is for exact ones: "
-        "theorem N needs gains that add up to the same for all robots, all of whom see one"
+        "theorem N needs equal sums of gains, and a visible neighbour of every robot"
     )
 
 
@@ -286,7 +285,7 @@ def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
     if not known.long_step(scenario) or scenario.scales_velocity:
         return ""
     return (
-        f"none for law (1) as it stands: the step {scenario.tau:.6g} s is longer than the "
+        f"none for unscaled law (1): the step {scenario.tau:.6g} s is longer than the "
         f"certified {at_least(scenario.certified_step, 6)} s; certified headings scale the "
         "velocity and are covered"
     )
@@ -301,8 +300,8 @@ def within_neighbours(scenario: Scenario, asked: Asked) -> str:
     if asked.by == "gains" or not beyond or scenario.scales_velocity:
         return ""
     return (
-        f"none for law (1) as it stands: in a step of {scenario.tau:.4g} s a robot may go "
-        "beyond its neighbours; gains do not"
+        f"none for unscaled law (1): in a step of {scenario.tau:.4g} s a robot may overshoot its "
+        "neighbours; gains do not"
     )
 
 
@@ -310,7 +309,7 @@ def rows_for_all(scenario: Scenario, asked: Asked) -> str:
     """The number of neighbours never exceeds the number of rows."""
     slots = scenario.observation_layout.neighbour_slots
     if slots >= scenario.sensing_graph.most_neighbours(scenario.n_robots):
-        return ""  # as with rows that no one has given, and without a look at all links
+        return ""  # the default rows, without a search of all links
     if slots >= (most := known.max_neighbours(scenario)):
         return ""
     return (
@@ -356,7 +355,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     if asked.by == "gains":
         speed = gain_range(scenario, asked.min_gain, asked.max_gain)[0]
     unhurried = scenario.merge_radius / (2.0 * scenario.tau)
-    if asked.by in ("law", "heading", "tank"):  # who sees most goes slowest (theory 4)
+    if asked.by in ("law", "heading", "tank"):  # robots with most neighbours are slowest (theory 4)
         speed *= unhurried / max(unhurried, scenario.max_degree)
     speed = min(speed, scenario.min_speed_limit, unhurried)
     moved = scenario.tau * speed * asked.min_alignment
@@ -375,7 +374,7 @@ def outlasts_rounding(scenario: Scenario, asked: Asked, spare: float = 1.0) -> s
     if moved >= needed:
         return ""
     return (
-        f"none: a step may move robots by as little as {moved:.3g} m, which rounding takes from "
+        f"none: a step may move robots by as little as {moved:.3g} m, below the rounding error of "
         f"coordinates of {largest:.4g} m; it must be {needed:.3g} m or more: make time_step, or "
         f"the weights of links, larger, or the world {'or errors ' * (spare < 1.0)}smaller"
     )
@@ -390,8 +389,8 @@ def errors_outlasted(scenario: Scenario, asked: Asked, tolerated: float) -> str:
 def rounding_pays_little(scenario: Scenario, asked: Asked) -> str:
     """Rounding cannot fill the tanks of nonholonomic robots by more than 2⁻⁶ r W in an episode.
 
-    Their ledger has no term ε², so rounded displacements add up to 4 W 2⁻⁵² of the largest
-    coordinate per step.
+    G has no term ε² for them, so rounded displacements add up to 4 W 2⁻⁵² of the largest coordinate
+    per step.
     """
     if scenario.model.bounded:
         return ""
@@ -400,8 +399,8 @@ def rounding_pays_little(scenario: Scenario, asked: Asked) -> str:
     if 4.0 * steps * _ROUNDED_OFF * largest <= _PAID * scenario.merge_radius:
         return ""
     return (
-        f"none: in {steps} steps rounding may pay for too many moves that it swallows, at "
-        f"coordinates of up to {largest:.4g} m: make time_limit shorter or the world smaller"
+        f"none: in {steps} steps rounding may add too much stored energy, at coordinates of up to "
+        f"{largest:.4g} m: make time_limit shorter or the world smaller"
     )
 
 
@@ -416,10 +415,10 @@ def _even_so(scenario: Scenario, asked: Asked, words: str) -> str:
 
 
 def still_obstacles(scenario: Scenario, asked: Asked) -> str:
-    """Obstacles stand still, or robots pass through them."""
+    """Obstacles do not move, or robots pass through them."""
     if not moves(scenario.obstacles) or scenario.obstacle_contact == "ignore":
         return ""
-    found = "push robots, which may raise V and tear links; no theorem covers it"
+    found = "push robots, which may increase V and break links; no theorem covers it"
     if scenario.obstacle_push == "stop":
         found = "stop at robots; no theorem covers moving obstacles in contact with robots"
     return f"none: obstacles move and {found}: make them still, or obstacle_contact 'ignore'"

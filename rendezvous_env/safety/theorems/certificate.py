@@ -19,7 +19,7 @@ from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..settings import TANK_MARGIN, bounded_error, check_bearing_error, check_share
 from . import delay, descent, gains, links, mean_time, noise, policies, tank, turning
-from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem, at_least, at_most
+from .theorem import CHOICES, LAW, PROMISED, Asked, Theorem, TheoremBounds, at_least, at_most
 
 THEOREMS: tuple[Theorem, ...] = tuple(
     theorem
@@ -83,7 +83,7 @@ class Certificate:
     """Name of the scenario."""
     time_limit: float = math.inf
     """Time limit of its episodes, s."""
-    touches_obstacles: bool = False
+    contact_possible: bool = False
     """True if contact with obstacles is possible; ``lyapunov_bound`` then holds up to the first
     contact."""
     policy: str = ""
@@ -107,22 +107,23 @@ class Certificate:
     held_time_bound = renamed_attribute("held_time_bound", "time_bound")
     bearing_error_borne = renamed_attribute("bearing_error_borne", "tolerated_bearing_error")
     continuous_time = renamed_attribute("continuous_time", "continuous_time_only")
+    touches_obstacles = renamed_attribute("touches_obstacles", "contact_possible")
 
     def __str__(self) -> str:
         """Summary of the guarantee: bounds, and comparison with the time limit of episodes."""
-        promises, free = self.promises.items(), " in motion without a contact"
-        free *= self.touches_obstacles
+        promises, free = self.promises.items(), " in motion without contact"
+        free *= self.contact_possible
         known = [(name, at_most(bound)) for name, bound in promises if name in _KEPT]
         kept = [_KEPT[name].format(bound, free) for name, bound in known]
         hears = self.by in ("heading", "tank", "links")
         if kept and hears and self.bearing_error > 0:
-            kept.append(f"all of this with bearing_error={self.bearing_error} in the wrapper")
+            kept.append(f"these bounds hold with bearing_error={self.bearing_error} in the wrapper")
         if self.tolerated_bearing_error > 0:
             told = ", with that bearing_error in the wrapper" * hears
             error = at_least(self.tolerated_bearing_error, 3)
             kept.append(f"bearings may err by up to {error} rad, minus rounding{told}")
         first = f"{self.scenario} under {self.policy or CHOICES[self.by]}: {self.theorem}"
-        numbers = "; ".join(kept) or "No other number is promised."
+        numbers = "; ".join(kept) or "There are no other bounds."
         return f"{first}\n{numbers}\n{self._by_when()}"
 
     def _by_when(self) -> str:
@@ -131,7 +132,7 @@ class Certificate:
         bound, limit, followed = self.time_bound, self.time_limit, self.continuous_time_bound
         if math.isinf(bound):
             known = "without a bound" if math.isinf(followed) else f"bound {at_most(followed)} s"
-            return f"Proven in continuous time only, {known}: of held inputs nothing is said."
+            return f"Proven in continuous time only, {known}: not with zero-order hold."
         if bound <= limit:
             return f"Bound {at_most(bound)} s, within the limit of {limit:.4g} s."
         return (
@@ -202,7 +203,7 @@ def certificate(
         return answer(scenario, question(scenario, by, given, bearing_error))[0]
     for name, value in (given | {"by": by, "bearing_error": bearing_error}).items():
         if value != (usual := getattr(LAW, name) if name in given else _UNASKED[name]):
-            raise_invalid(name, value, f"{usual} with a policy, which has settings of its own")
+            raise_invalid(name, value, f"{usual} with a policy, which has its own settings")
     return of_policy(scenario, policy)
 
 
@@ -260,7 +261,9 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     return asked
 
 
-def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Theorem, Bounds]]]:
+def answer(
+    scenario: Scenario, asked: Asked
+) -> tuple[Certificate, list[tuple[Theorem, TheoremBounds]]]:
     """Return the best of all bounds, the theorem text, and all theorems that apply.
 
     The text is that of the first theorem that guarantees rendezvous, or the missing assumption of
@@ -283,7 +286,7 @@ def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Th
 
 
 def _certificate(
-    scenario: Scenario, asked: Asked, lacks: str, found: list[Bounds], policy: str = ""
+    scenario: Scenario, asked: Asked, lacks: str, found: list[TheoremBounds], policy: str = ""
 ) -> Certificate:
     """Certificate with the best applicable bounds, or with the missing assumption."""
     promised = [bounds.words for bounds in found if bounds.meets]
@@ -304,7 +307,7 @@ def _certificate(
         tolerated_bearing_error=max((one.tolerated_bearing_error for one in found), default=0.0),
         scenario=scenario.name,
         time_limit=scenario.time_limit,
-        touches_obstacles=bool(scenario.obstacles) and scenario.obstacle_contact != "ignore",
+        contact_possible=bool(scenario.obstacles) and scenario.obstacle_contact != "ignore",
         policy=policy,
         **{f"{name}_bound": bound for name, bound in least.items()},
     )

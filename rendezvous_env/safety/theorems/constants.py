@@ -185,9 +185,7 @@ def tank_bounds(
 
 @_of_the_last
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of given initial conditions, or 2 W times the diagonal of the spawn area, m²/s
-    (theory 4).
-    """
+    """V(0) of given initial conditions, or 2 W × the spawn diagonal, m²/s (theory 4)."""
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
         weights = graph.base_weights(n) * graph.weight_range[1]
@@ -226,7 +224,7 @@ def largest_size(scenario: Scenario) -> float:
 
 @cache
 def _largest_size_in_box(n: int, edges: tuple[float, ...]) -> float:
-    # L is convex in every p_i, and no set of corners is larger than the sets that hold it
+    # L is convex in every p_i, and increases with the set of corners
     corners = np.array(list(itertools.product((0.0, 1.0), repeat=len(edges)))) * edges
     sets = itertools.combinations(corners, min(n, len(corners)))
     return max(size(np.array(places)) for places in sets)

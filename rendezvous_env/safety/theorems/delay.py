@@ -1,4 +1,4 @@
-"""Theorems E1 and E3: law (1) on bearings of the past, delayed or held by clocks of the robots.
+"""Theorems E1 and E3: law (1) with delayed bearings, or with commands held by the robots' clocks.
 
 **E1.** Fixed, undirected, connected graph; law (1) with exact bearings delayed by k steps, or by at
 most k if robots differ, (k+1) τ ≤ r/(2D̄), also at merges; single integrators with fixed frames; no
@@ -34,7 +34,7 @@ from ...checks import counted
 from ...scenario.scenario import Scenario
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem, at_least
+from .theorem import Asked, Theorem, TheoremBounds, at_least
 
 
 def small_delay(scenario: Scenario, asked: Asked) -> str:
@@ -44,12 +44,12 @@ def small_delay(scenario: Scenario, asked: Asked) -> str:
     if age <= oldest * (1 + 1e-12):
         return ""
     return (
-        f"none: late and held, bearings are up to {age:.4g} s old, and theorem E1 needs no more "
-        f"than r/(2D̄) = {oldest:.4g} s"
+        f"none: delayed and held bearings are up to {age:.4g} s old, and theorem E1 needs at most "
+        f"r/(2D̄) = {oldest:.4g} s"
     )
 
 
-def bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds on the time and on V."""
     n, degree, late = scenario.n_robots, scenario.max_degree, scenario.delay_steps
     meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
@@ -59,8 +59,8 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     time = float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau)
     most_late = "up to " * bool({"delay", "delay_time"} & {*scenario.sensing.per_robot})
     steps = f"{most_late}{counted(late, 'step')}"
-    words = f"theorem E1: law (1) meets in finite time on bearings {steps} late"
-    return Bounds(words, meets=True, time=time, lyapunov=most)
+    words = f"theorem E1: law (1) meets in finite time with bearings delayed by {steps}"
+    return TheoremBounds(words, meets=True, time=time, lyapunov=most)
 
 
 def asynchronous(scenario: Scenario, asked: Asked) -> str:
@@ -81,11 +81,11 @@ def drawn_activation(scenario: Scenario, asked: Asked) -> str:
     """Robots are active at random."""
     if scenario.activation.kind == "random":
         return ""
-    return "none: the mean time is known of random activation alone"
+    return "none: the mean time is known for random activation only"
 
 
 def longest_held_step(scenario: Scenario) -> float:
-    """Longest time step for commands held for up to k steps, θ_k r/(2D̄), s (theorem E3)."""
+    """Longest time step, s, for commands held for up to k steps: θ_k r/(2D̄) (theorem E3)."""
     waits = scenario.activation.longest_wait - 1.0
     return 2.0 / (1.0 + math.sqrt(1.0 + 4.0 * waits**2)) * scenario.certified_step
 
@@ -107,7 +107,7 @@ def _degree_of_step(scenario: Scenario) -> float:
     return 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius
 
 
-def held_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def held_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds of E3 on the time and on V, with held commands."""
     n, degree, k = scenario.n_robots, scenario.max_degree, scenario.activation.longest_wait
     theta, most = _degree_of_step(scenario), float(known.lyapunov_bound(scenario))
@@ -116,27 +116,27 @@ def held_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     slowest = min(1.0, scenario.min_speed_limit / degree) * known.min_bearing_square(scenario)
     time = float(known.over_rate(most, slowest) + (n * k - 1) * scenario.tau)
     words = f"theorem E3: law (1) meets in finite time with commands held for up to {k:.0f} steps"
-    return Bounds(words, meets=True, time=time, lyapunov=most)
+    return TheoremBounds(words, meets=True, time=time, lyapunov=most)
 
 
-def stopped_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Bounds of E3 on the time and on V, where robots that are not active stand still."""
+def stopped_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
+    """Bounds of E3 on the time and on V, if inactive robots do not move."""
     k, most = scenario.activation.longest_wait, float(known.lyapunov_bound(scenario))
     slow = 1.0 / math.sqrt(known.scale_bound(scenario))
     slow += _degree_of_step(scenario) * math.sqrt(k - 1.0)
     fall = known.min_bearing_square(scenario) / (k * slow**2)
     time = float(known.over_rate(most, fall) + scenario.n_robots * k * scenario.tau)
     words = f"theorem E3: law (1) meets in finite time, each robot active once in {k:.0f} steps"
-    return Bounds(words, meets=True, time=time, lyapunov=most)
+    return TheoremBounds(words, meets=True, time=time, lyapunov=most)
 
 
-def drawn_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def drawn_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bound of E3 on the mean time under random activation."""
     n, chance = scenario.n_robots, scenario.activation.probability or 0.0
     most = float(known.lyapunov_bound(scenario))
     cut = _degree_of_step(scenario) * scenario.merge_radius * scenario.max_degree / 2.0
     fall = chance * known.scale_bound(scenario) * known.min_bearing_square(scenario)
-    return Bounds(expected_time=float(known.over_rate(most + (n - 1) * n * cut, fall)))
+    return TheoremBounds(expected_time=float(known.over_rate(most + (n - 1) * n * cut, fall)))
 
 
 _LATE = *given.TEAM, given.only_late, given.no_obstacles, small_delay, given.frames_stay

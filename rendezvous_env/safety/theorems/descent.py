@@ -1,8 +1,8 @@
-"""Theorems A, B, C and N2: V falls under law (1), and under any headings that keep a margin.
+"""Theorems A, B, C and N2: V decreases under law (1), and under headings with a minimum alignment.
 
 **Assumptions.** Fixed, undirected, connected graph; robots whose action is their velocity; exact
 bearings of all neighbours, inputs held over τ ≤ r/(2D̄) or velocities scaled by r/(2 D_i τ);
-nothing in the way; neighbours merge at r, whatever is between them. A: law (1), ε = 1. B: law (4),
+no obstacles; neighbours always merge at r. A: law (1), ε = 1. B: law (4),
 |h_iᵀf_i| ≥ ε‖f_i‖. C: certified headings.
 
 **Promise.** V never rises between merges, never exceeds V0⁺ = V(0) + (n−1) r W, and
@@ -11,8 +11,8 @@ nothing in the way; neighbours merge at r, whatever is between them. A: law (1),
 
 σ = max(1, 2D̄τ/r) max(1, D̄/v_max), v_max of the slowest robot; on a complete graph of equal
 weights a without obstacles, T ≤ σ V(0)/(2 (n−1) ε² a²). With obstacles, V is bounded in motion
-without a contact; so is V of nonholonomic robots under headings. As inequality (1) of the proofs
-is a sum over robots, V also never rises where some of them stand still in a step
+without a contact; so is V of nonholonomic robots under headings. As inequality (1) of the proofs is
+a sum over robots, V also never rises if some of them do not move in a step
 (``Scenario.hold="stop"``). Proof: docs/proofs.md, A to C.
 
 **N2.** Law (1) as in theorem A with failures and disturbances (``Scenario.events``): sensors fail
@@ -34,7 +34,7 @@ from ...scenario.scenario import Scenario
 from ..settings import bounded_error, check_share
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem, at_least
+from .theorem import Asked, Theorem, TheoremBounds, at_least
 
 Array = NDArray[np.float64]
 
@@ -72,25 +72,25 @@ def time_bound(
     return np.asarray(bound)
 
 
-def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def lyapunov_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """V never increases between merges under law (1), certified headings or the gate."""
-    return Bounds(lyapunov=float(known.lyapunov_bound(scenario)))
+    return TheoremBounds(lyapunov=float(known.lyapunov_bound(scenario)))
 
 
-def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def time_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Time bounds of theorems A and C."""
     long = known.long_step(scenario)
     if asked.by == "law":
         words = "theorem 1: law (1) meets in finite time" + long * (
-            ", with velocities scaled by r/(2 D_i τ) where that is below 1, as the policy "
-            "bearing-only does here (theory 4)"
+            ", with velocities scaled by min(1, r/(2 D_i τ)), as in the policy bearing-only "
+            "(theory 4)"
         )
     else:
         words = "theorems 2 and C: every policy under certified headings meets in finite time"
         words += " with velocities scaled to the long step" * long
     start = known.largest_lyapunov(scenario)
     time = float(time_bound(scenario, start, min_alignment=asked.min_alignment))
-    return Bounds(words, True, time, lyapunov=float(known.lyapunov_bound(scenario)))
+    return TheoremBounds(words, True, time, lyapunov=float(known.lyapunov_bound(scenario)))
 
 
 def _disturbed_rates(scenario: Scenario) -> tuple[float, Array]:
@@ -106,12 +106,12 @@ def _disturbed_rates(scenario: Scenario) -> tuple[float, Array]:
 
 
 def has_events(scenario: Scenario, asked: Asked) -> str:
-    """Something fails or is disturbed."""
+    """There are failures or disturbances."""
     return "none: theorem N2 is for failures and disturbances" if scenario.events.none else ""
 
 
 def small_disturbance(scenario: Scenario, asked: Asked) -> str:
-    """Bound w < s min_m 2c_m/m, and robots that see nothing are not disturbed."""
+    """Bound w < s min_m 2c_m/m, and robots without a working sensor are not disturbed."""
     events, left = scenario.events, known.robots_left(scenario)
     if events.disturbance > 0.0 and "blind" in events.kinds:
         return "none: a robot whose sensor has failed drifts with the disturbance"
@@ -120,7 +120,7 @@ def small_disturbance(scenario: Scenario, asked: Asked) -> str:
     if share > 0.0 and (events.disturbance == 0.0 or events.disturbance < most):
         return ""
     if share <= 0.0:
-        return "none: with slip = 1 robots may stand still for ever; take less"
+        return "none: with slip = 1 robots may never move; it must be less"
     return (
         f"none: events.disturbance is {events.disturbance:.4g} m/s, and theorem N2 tolerates less "
         f"than {at_least(most)} m/s here: from there on it can move robots as fast as law (1)"
@@ -139,7 +139,7 @@ def unlimited_if_disturbed(scenario: Scenario, asked: Asked) -> str:
 
 
 def progress_outlasts_rounding(scenario: Scenario, asked: Asked) -> str:
-    """As ``outlasts_rounding``, for what disturbances leave of the progress."""
+    """As ``outlasts_rounding``, for the progress reduced by disturbances."""
     share, rates = _disturbed_rates(scenario)
     pull = 4.0 * known.min_degrees(scenario) ** 2 / known.robots_left(scenario)
     left = min(share, float((rates / pull).min()))
@@ -156,7 +156,7 @@ def last_failure(scenario: Scenario) -> float:
     return max(ends) + tau * (max(ends) > 0.0)  # an event waits for the next step
 
 
-def disturbed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def disturbed_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds of theorem N2 on the time and on V."""
     n, (share, rates) = scenario.n_robots, _disturbed_rates(scenario)
     reach = max(scenario.merge_radius / 2.0, scenario.speed_limit * scenario.tau)
@@ -165,13 +165,13 @@ def disturbed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     most += (n - 1) * scenario.tau * n * scenario.events.disturbance**2 / share
     time = last_failure(scenario) + float(known.held_time(scenario, most, rates))
     words = f"theorem N2: law (1) meets in finite time with {scenario.events}"
-    return Bounds(words, meets=True, time=time, lyapunov=most)
+    return TheoremBounds(words, meets=True, time=time, lyapunov=most)
 
 
-# The paper's laws for robots that turn, held, can raise V a little; certified ones cannot.
+# With zero-order hold the paper's nonholonomic laws can increase V slightly; certified ones cannot.
 _HELD = given.certified_or_scaled, given.exact_bearings
 _LAW_V = *given.LASTING_LINKS, given.merges_everywhere, given.velocity_inputs, *_HELD
-_SLOW = "crash", "blind", "slip"  # robots stand still, or move less; (1) is a sum over them
+_SLOW = "crash", "blind", "slip"  # robots do not move, or move less; (1) is a sum over them
 _DISTURBED = (
     *(has_events, *given.UNHINDERED, *_HELD),
     *(small_disturbance, unlimited_if_disturbed, progress_outlasts_rounding),

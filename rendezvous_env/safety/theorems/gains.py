@@ -11,12 +11,11 @@ over τ, τ C < r (D1):
     T ≤ L0/(c k K(n)) + (n − 1) τ,       k = (r − τC)/(r − τC + 2τc),
     K(n) = 2n (1 − cos(π/n)),   in 3-D nπ (sin φ − φ cos φ) with φ = π/n,
 
-and with a leader that of n − 1 robots in the directions within 75° of one, times 0.78.
+and with a stationary root that of n − 1 robots in the directions within 75° of one, times 0.78.
 
 For τ C ≤ r the hull does not grow in a step that begins with linked robots r or more apart. Any
-robots may stand still in it. L0 includes the growth in other steps.
-A robot that crashes is a stationary root from then on, on an undirected graph too.
-Proof: docs/proofs.md, G and D1.
+robots may rest in it. L0 includes the growth in other steps. A robot that crashes is a stationary
+root from then on, on an undirected graph too. Proof: docs/proofs.md, G and D1.
 """
 
 import math
@@ -30,11 +29,11 @@ from ..gains import gain_range
 from . import assumptions as given
 from . import constants as known
 from .descent import last_failure
-from .theorem import TWO_CRASHED, Asked, Bounds, Theorem
+from .theorem import TWO_CRASHED, Asked, Theorem, TheoremBounds
 
 Array = NDArray[np.float64]
 
-_WIDE = 5.0 * np.pi / 12.0  # so far from the direction of another robot a leader still lies deep
+_WIDE = 5.0 * np.pi / 12.0  # maximum angle to another robot's direction at which the root is deep
 _DEEP = 0.78  # times 0.172 sin 75° r, the largest step of the others, is less than cos 75° r/2
 
 
@@ -81,7 +80,7 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
         return gains * min(least, scenario.min_speed_limit), most
     if given.nearest_always_visible(scenario):
-        # behind others all but the nearest may be hidden, and its link may be the lightest
+        # all but the nearest may be occluded, and its link may be the lightest
         gains *= known.lightest_link(scenario)
     elif known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED:
         gains = known.min_degrees(scenario)
@@ -93,9 +92,9 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
     return np.minimum(gains, scenario.min_speed_limit), most
 
 
-def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def hull_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bound on L alone, without visibility assumptions."""
-    return Bounds(hull=known.largest_size(scenario) + known.hull_growth(scenario))
+    return TheoremBounds(hull=known.largest_size(scenario) + known.hull_growth(scenario))
 
 
 def depth_gained(n: ArrayLike, dim: int, led: bool) -> Array:
@@ -124,7 +123,7 @@ def one_crash(scenario: Scenario, asked: Asked) -> str:
     return "" if count else "none: no robot crashes"
 
 
-def crashed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def crashed_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds after one robot has crashed: it is then a stationary root."""
     after = last_failure(scenario)
     found = bounds(scenario, asked, led=True)
@@ -133,7 +132,7 @@ def crashed_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return replace(found, words=words, time=time, continuous_time=math.inf)
 
 
-def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> Bounds:
+def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> TheoremBounds:
     """Bounds on both times and on L, with a stationary root if ``led``; None is as on the graph."""
     (gains, most), m, dim = _gains(scenario, asked), known.robots_left(scenario), scenario.dim
     led = known.led(scenario) if led is None else led
@@ -154,12 +153,12 @@ def bounds(scenario: Scenario, asked: Asked, led: bool | None = None) -> Bounds:
     )
     time = float(known.held_time(scenario, hull, held))
     continuous = float(known.over_rate(known.largest_size(scenario), followed))
-    return Bounds(words, meets=True, time=time, continuous_time=continuous, hull=hull)
+    return TheoremBounds(words, meets=True, time=time, continuous_time=continuous, hull=hull)
 
 
 _HULL = given.velocity_inputs, given.bounded_errors, given.no_obstacles
 _WITHIN = given.within_neighbours, given.exact_bearings
-_NESTED = *_WITHIN, given.outlasts_rounding  # or robots leave the hull, as far as they like
+_NESTED = *_WITHIN, given.outlasts_rounding  # or robots may leave the hull by any distance
 _SEEN = given.bounded_errors, given.some_neighbour_visible, given.no_obstacles
 _SLOW = "crash", "blind", "slip"
 _CRASHED = one_crash, *given.TEAM, *_SEEN, *_WITHIN

@@ -27,7 +27,7 @@ from ...scenario.scenario import Scenario
 from ..links import asymmetric_sight
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem, bounds_with_errors
+from .theorem import Asked, Theorem, TheoremBounds, bounds_with_errors
 
 
 def visibility_is_mutual(scenario: Scenario, asked: Asked) -> str:
@@ -41,8 +41,8 @@ def neighbours_apart(scenario: Scenario, asked: Asked) -> str:
     if known.starts_apart(scenario):
         return ""
     return (
-        "none: linked robots start closer than r: two of them merge at once while others walk on, "
-        "and theorem R speaks of links of r or more"
+        "none: linked robots start closer than r: two of them merge at once while others move "
+        "on, and theorem R is for links of r or more"
     )
 
 
@@ -59,17 +59,17 @@ def starts_linked(scenario: Scenario, asked: Asked) -> str:
         near = np.linalg.norm(p[first] - p[second], axis=-1) <= longest
         links = coo_array((weights[near], (first[near], second[near])), shape=(n, n))
         lasts = graph.fixed or known.kind_of_links(graph) == known.PROXIMITY
-        linked = len(components(links)) == 1 if lasts else bool(near.all())  # any may be drawn
+        linked = len(components(links)) == 1 if lasts else bool(near.all())  # any may be sampled
     else:
-        # drawn starts are connected for merges at midpoints
+        # sampled initial conditions are connected for merges at midpoints
         near = known.kind_of_links(graph) == known.PROXIMITY
         linked = near and scenario.require_connected and not scenario.obstacles
         linked = linked or scenario.spawn_diagonal <= longest
     if linked:
         return ""
     return (
-        "none: theorem R needs starts that links of at most range − (n − 1) r/2 connect, or "
-        "range − (n − 1) r with obstacles; here others are given or may be drawn"
+        "none: theorem R needs initial conditions connected by links of at most range − (n − 1) "
+        "r/2, or range − (n − 1) r with obstacles; here others are given or may be sampled"
     )
 
 
@@ -81,7 +81,7 @@ def merge_growth(scenario: Scenario) -> float:
     return (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
 
 
-def bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bounds on the time, on V for permanent links, and on links."""
     n, radius = scenario.n_robots, scenario.merge_radius
     unlimited = scenario.sensing.range is None
@@ -101,12 +101,12 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     counted = unlimited or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
     time, tolerated = known.held_time(scenario, most, rates), math.pi / (2.0 * n)
     if lost := given.errors_outlasted(scenario, asked, tolerated):
-        return Bounds(lost, tolerated_bearing_error=tolerated)
+        return TheoremBounds(lost, tolerated_bearing_error=tolerated)
     words = (
-        "theorem R: whatever is wanted, no link in sight grows longer between merges, and all "
+        "theorem R: for any desired velocities, no visible link grows between merges, and all "
         "robots meet in finite time"
     )
-    even_so = "; no link in sight grows longer between merges even so"
+    even_so = "; no visible link grows between merges even so"
     kept = {"lyapunov": most if counted else math.inf, "link_growth": merge_growth(scenario)}
     return bounds_with_errors(asked, time, tolerated, words, "theorem R", even_so, **kept)
 

@@ -37,7 +37,7 @@ from ..settings import is_complete
 from . import assumptions as given
 from . import constants as known
 from .gains import depth_gained
-from .theorem import ROUNDED, Asked, Bounds, Theorem
+from .theorem import ROUNDED, Asked, Theorem, TheoremBounds
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def detection_of(scenario: Scenario) -> Detection:
 def _detection_by(
     scenario: Scenario, detection: tuple[tuple[float, float], ...], dropout: float, time: float
 ) -> Detection:
-    """``detection_of`` a robot with this table, dropout and time constant of detection, s."""
+    """``detection_of`` a robot with this table, dropout and persistence, s."""
     r, table = scenario.merge_radius, np.array(detection or ((0.0, 1.0),))
     table = table * (1.0, 1.0 - dropout)
     nearest = r * (_NEARER if detection else 1.0)
@@ -132,22 +132,22 @@ def _scatter(scenario: Scenario, seen: Detection, bent: float, gamma: float) -> 
     return np.asarray(0.5 * bent * share * squares * (worst - (gamma * worst) ** 2))
 
 
-def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def lyapunov_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Theorem E[T]; infinite for a step too long for the scatter, or limited speed."""
     degree, seen = scenario.max_degree, detection_of(scenario)
     if scenario.scales_velocity or scenario.min_speed_limit < degree:
-        return Bounds()
+        return TheoremBounds()
     fall = lyapunov_decrease(scenario, seen)
     exact = known.min_bearing_square(scenario)
     if fall <= 0.0 or given.outlasts_rounding(scenario, asked, min(fall / exact, 1.0)):
-        return Bounds()
+        return TheoremBounds()
     bent = 2.0 * degree * seen.longest / scenario.merge_radius * seen.curvature
     loss = seen.most + 0.25 * bent * (1.0 - known.lightest_link(scenario) / degree)
     if scenario.sensing.sample_period > 0.0:
         loss = 2.0 * (seen.most + 0.5 * bent)
     most = seen.most * known.lyapunov_bound(scenario, reach=degree * seen.longest)
     most += (scenario.n_robots - 1) * 4.0 * seen.longest * degree**2 * loss
-    return Bounds(expected_time=float(known.over_rate(most, fall)))
+    return TheoremBounds(expected_time=float(known.over_rate(most, fall)))
 
 
 def max_unlinked(scenario: Scenario) -> Array:
@@ -167,7 +167,7 @@ def max_unlinked(scenario: Scenario) -> Array:
     return np.minimum(m - 1.0, n - outside)
 
 
-def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def hull_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Theorem E[L]; infinite for a step too long for the hull to be nested."""
     seen, m, r = detection_of(scenario), known.robots_left(scenario), scenario.merge_radius
     limit, most = scenario.min_speed_limit, scenario.max_degree
@@ -175,7 +175,7 @@ def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
         limit, most = min(limit, r / (2.0 * scenario.tau)), min(most, r / (2.0 * scenario.tau))
     spare = r - seen.longest * most
     if spare <= 0.0 or seen.fresh <= 0.0:
-        return Bounds()
+        return TheoremBounds()
     depth = depth_gained(m, scenario.dim, known.led(scenario))
 
     def decrease(gain: Array) -> Array:
@@ -197,7 +197,7 @@ def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
         spared = min(float((rates / exact).min()), 1.0)
         if rates.min() > 0.0 and not given.outlasts_rounding(scenario, asked, spared):
             times.append(extent / rates.min() + (scenario.n_robots - 1) * lost.max())
-    return Bounds(expected_time=float(min(times, default=math.inf)))
+    return TheoremBounds(expected_time=float(min(times, default=math.inf)))
 
 
 def _events(

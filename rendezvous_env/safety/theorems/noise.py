@@ -36,7 +36,7 @@ from ..settings import error_chord
 from . import assumptions as given
 from . import constants as known
 from .gains import shrinking
-from .theorem import Asked, Bounds, Theorem, bounds_with_errors
+from .theorem import Asked, Theorem, TheoremBounds, bounds_with_errors
 
 Array = NDArray[np.float64]
 
@@ -74,12 +74,12 @@ def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
     if equal_gains(scenario, asked) is not None and not known.led(scenario):
         return ""
     return (
-        f"none: bearings may err by {asked.error:.4g} rad; theorem N needs gains that add up to "
-        "the same for all robots, all of whom see one"
+        f"none: bearings may err by {asked.error:.4g} rad; theorem N needs equal sums of gains, "
+        "and a visible neighbour of every robot"
     )
 
 
-def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def equal_gain_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Theorem N with zero-order hold."""
     gains = equal_gains(scenario, asked)
     assert gains is not None  # an assumption
@@ -90,12 +90,12 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
     tolerated = max(0.0, float((largest_error(left, dim) - late_by).min()))
     if lost := given.errors_outlasted(scenario, asked, tolerated):
-        return Bounds(lost, tolerated_bearing_error=tolerated)
-    if error == 0.0:  # two robots whose bearings are right move on one line
+        return TheoremBounds(lost, tolerated_bearing_error=tolerated)
+    if error == 0.0:  # two robots with exact bearings move on one line
         late_by = np.where(left == 2, 0.0, late_by)
     time = float(known.held_time(scenario, extent, shrinking(left, dim, gains, error + late_by)))
     who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
-    words = f"theorem N: {who} meets in finite time although bearings err by {error:.4g} rad"
+    words = f"theorem N: {who} meets in finite time with bearing errors of {error:.4g} rad"
     hull = extent if math.isfinite(time) else math.inf
     return bounds_with_errors(asked, time, tolerated, words, who, hull=hull)
 
@@ -116,7 +116,7 @@ def tolerated_error(
     return float(2.0 * np.arcsin(min(sine, 1.0)))
 
 
-def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def law_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Theorem N1; no time bound for a long step or limited speed."""
     n, left, chord = scenario.n_robots, known.robots_left(scenario), error_chord(asked.error)
     as_it_is = scenario.min_speed_limit >= scenario.max_degree and not known.long_step(scenario)
@@ -126,13 +126,13 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     rates = 4.0 * known.min_degrees(scenario) ** 2 / left - feigned
     time = known.held_time(scenario, most, rates) if as_it_is else math.inf
     tolerated = tolerated_error(scenario) if as_it_is else 0.0
-    words = f"law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
+    words = f"law (1) meets in finite time with bearing errors of {asked.error:.4g} rad"
     return bounds_with_errors(asked, time, tolerated, f"theorem N1: {words}", "law (1)")
 
 
 def certified_bounds(
     scenario: Scenario, asked: Asked, most: float, each: float | None, dead_zone: float, *words: str
-) -> Bounds:
+) -> TheoremBounds:
     """Numbers for velocities certified with measured bearings, if all q_m > 0 (theorems N1', D).
 
     ``most`` is V0⁺ or its substitute, m²/s; ``each`` a bound on V/(m − 1), if known; ``words`` are
@@ -146,7 +146,7 @@ def certified_bounds(
     q = margin * (pull - faded) - (1.0 + margin) * wrong
     sure = asked._replace(min_alignment=float((q / pull).min()))
     if lost := given.errors_outlasted(scenario, sure, tolerated):
-        return Bounds(lost, tolerated_bearing_error=tolerated)
+        return TheoremBounds(lost, tolerated_bearing_error=tolerated)
     rates, slowest = np.maximum(q, 0.0) ** 2 / left, known.scale_bound(scenario)
     time = known.held_time(scenario, most, rates * slowest)
     if each is not None:
@@ -155,7 +155,7 @@ def certified_bounds(
     return bounds_with_errors(asked, time, tolerated, *words)
 
 
-def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def heading_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Theorem N1'."""
     most, each, long = float(known.lyapunov_bound(scenario)), None, known.long_step(scenario)
     if known.merges_at_midpoints(scenario):
@@ -164,7 +164,7 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
         "theorem N1': every policy under certified headings that allow for errors of "
         f"{asked.error:.4g} rad meets in finite time"
     ) + " with velocities scaled to the long step" * long
-    who, even_so = "a heading of this margin", "; V still never rises between merges"
+    who, even_so = "a heading of this alignment", "; V still never rises between merges"
     return certified_bounds(scenario, asked, most, each, DEAD_ZONE, words, who, even_so)
 
 

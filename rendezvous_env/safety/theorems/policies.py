@@ -1,4 +1,4 @@
-"""Certificates of policies: what their own filters keep, or that nothing is known of a function."""
+"""Certificates of policies, from the settings of their filters."""
 
 from __future__ import annotations
 
@@ -15,28 +15,27 @@ from .theorem import at_most
 Guarantee = dict[str, Any]
 """Arguments of ``certificate``, see ``guarantee_of``."""
 TimeBound = Callable[[str], float | None]
-"""By which robots meet under a filter, s, by its name; None where that is not guaranteed."""
+"""Guaranteed rendezvous time under a filter, s, by its name; None without a guarantee."""
 WRAPPERS = {
     "heading": "HeadingVectorWrapper",
     "tank": "EnergyTankWrapper",
     "gains": "GainWrapper",
     "links": "LinkKeepingWrapper",
 }
-"""Wrappers that keep a guarantee whatever a policy chooses, by the name that ``certificate`` has
-for them."""
+"""Wrappers with a guarantee for any policy, by their name in ``certificate``."""
 _POLICIES = {"heading": "baselines.HeadingPolicy", "tank": "baselines.TankPolicy"}
-"""Policies that keep the same guarantee around a function of observations."""
+"""Policies with the same guarantee around a function of observations."""
 _NOT_OF_FILTERS = ("name", "on_merge", "reward", "costs", "time_limit")
 """Fields of a scenario that do not affect filters."""
 _TOLD = ("heading", "tank", "links")
-"""Filters that have to be given the error of bearings."""
+"""Filters that need the bearing error as a setting."""
 
 
 def guarantee_of(scenario: Scenario, policy: object) -> Guarantee | None:
-    """Arguments of ``certificate`` that a policy's ``guarantee`` gives; None if it keeps none.
+    """Arguments of ``certificate`` from a policy's ``guarantee``; None without one.
 
-    ``guarantee`` may also hold ``max_turn_rate``, rad/s, of a filter of robots that turn, and
-    ``observes_merges``, whether a tank is told of merges.
+    ``guarantee`` may also contain ``max_turn_rate``, rad/s, of a filter of nonholonomic robots, and
+    ``observes_merges``, whether a tank observes merges.
 
     Raises:
         TypeError: for a policy that cannot be called.
@@ -53,14 +52,14 @@ def guarantee_of(scenario: Scenario, policy: object) -> Guarantee | None:
 
 
 def _differing_fields(one: Scenario, other: Scenario) -> dict[str, tuple[Any, Any]]:
-    """Values of two scenarios in the fields that differ and on which filters depend."""
+    """Values of two scenarios in the fields that differ and affect filters."""
     names = [field.name for field in fields(one) if field.name not in _NOT_OF_FILTERS]
     values = {name: (getattr(one, name), getattr(other, name)) for name in names}
     return {name: (own, here) for name, (own, here) in values.items() if own != here}
 
 
 def unmet(scenario: Scenario, guarantee: Guarantee) -> str:
-    """Reason why a filter's settings lose its guarantee in this scenario; empty if they keep it."""
+    """Reason why a filter's settings void its guarantee in this scenario; empty if valid."""
     own, told = bounded_error(scenario.sensing, scenario.dim), guarantee.get("bearing_error", 0.0)
     if guarantee.get("by") in _TOLD and told < own:
         return (
@@ -77,21 +76,21 @@ def unmet(scenario: Scenario, guarantee: Guarantee) -> str:
 
 
 def no_guarantee(policy: object, time_bound: TimeBound) -> str:
-    """Message about an uncertified policy, with wrappers that would guarantee a rendezvous.
+    """Message about an uncertified policy, with wrappers that would guarantee rendezvous.
 
-    ``time_bound(by)`` is a wrapper's time bound, s, or None where there is no guarantee.
+    ``time_bound(by)`` is a wrapper's time bound, s, or None without a guarantee.
     """
     found = {by: time_bound(by) for by in WRAPPERS}
     kept = {by: bound for by, bound in found.items() if bound is not None}
     words = f"none: {name_of(policy)} may choose any action, and no theorem covers it. "
     if kept:
         listed = [f"rendezvous_env.{WRAPPERS[by]} ({_within(bound)})" for by, bound in kept.items()]
-        words += f"Guaranteed whatever it chooses under {_joined(listed)}"
+        words += f"Guaranteed for any policy under {_joined(listed)}"
         if around := [_POLICIES[by] for by in kept if by in _POLICIES]:
             words += f", or as a policy inside {_joined(around)}"
         words += ". "
     else:
-        words += "No wrapper guarantees a rendezvous in this scenario either. "
+        words += "No wrapper guarantees rendezvous in this scenario either. "
     return f"{words}rendezvous verify --policy MODULE:FUNCTION searches for counterexamples"
 
 

@@ -25,20 +25,22 @@ from ...scenario.scenario import Scenario
 from . import assumptions as given
 from . import constants as known
 from .noise import certified_bounds
-from .theorem import Asked, Bounds, Theorem
+from .theorem import Asked, Theorem, TheoremBounds
 
 
-def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def lyapunov_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Bound on V alone, with walls and for nonholonomic robots."""
-    return Bounds(lyapunov=known.tank_bounds(scenario, asked.budget, asked.observes_merges)[0])
+    return TheoremBounds(
+        lyapunov=known.tank_bounds(scenario, asked.budget, asked.observes_merges)[0]
+    )
 
 
-def bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Time bound."""
     most, each = known.tank_bounds(scenario, asked.budget, asked.observes_merges)
-    words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
-    words += f" and charges errors of {asked.error:.4g} rad" * (asked.error > 0)
-    who, even_so = "a tank of this margin", "; V stays bounded even so"
+    words = "theorem D: all robots meet in finite time under energy tanks, for any velocities"
+    words += f", with bearing errors of {asked.error:.4g} rad" * (asked.error > 0)
+    who, even_so = "a tank of this alignment", "; V stays bounded even so"
     return certified_bounds(scenario, asked, most, each, 0.0, words, who, even_so)
 
 

@@ -20,7 +20,7 @@ CHOICES = {
 ROUNDED = 2.0**-22
 """Bound on the rotation of a bearing by float32 rounding, rad."""
 PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
-"""Fields of Bounds that hold for the environment in sampled time."""
+"""Fields of TheoremBounds that hold in discrete time."""
 
 
 def at_most(bound: float) -> str:
@@ -34,7 +34,7 @@ def at_least(tolerated: float, digits: int = 4) -> str:
 
 
 def _in_digits(number: float, digits: int, rounding: str) -> str:
-    # rounding of float64 alone is no digit more
+    # no further digit for float64 rounding alone
     shown = Context(prec=digits, rounding=rounding).create_decimal(f"{number:.12g}")
     return f"{float(shown):.{digits}g}"
 
@@ -49,30 +49,30 @@ class Asked(NamedTuple):
     max_gain: float | Sequence[float] | None = None
     share: float = 0.5  # λ, without unit
     error: float = 0.0  # η, rad: the larger of the argument and the error of the sensor
-    observes_merges: bool = True  # whether tanks are told of merges, as wrappers are
+    observes_merges: bool = True  # whether tanks observe merges, as in wrappers
 
 
 LAW = Asked()
 
 
 @dataclass(frozen=True)
-class Bounds:
+class TheoremBounds:
     """Bounds of a theorem for a scenario; infinite where there is none."""
 
-    words: str = ""  # the promise, its theorem first; or why there is none for this error
-    meets: bool = False  # whether a rendezvous is promised
-    time: float = math.inf  # when one robot is left, s, inputs held over the scenario's step
-    continuous_time: float = math.inf  # the same where velocities follow the bearings, s
+    words: str = ""  # the guarantee, theorem first; or the reason why there is none for this error
+    meets: bool = False  # whether rendezvous is guaranteed
+    time: float = math.inf  # rendezvous time, s, with zero-order hold over the scenario's step
+    continuous_time: float = math.inf  # rendezvous time in continuous time, s
     expected_time: float = math.inf  # of the mean time to rendezvous, s
     lyapunov: float = math.inf  # of V at any time, m²/s; with obstacles, but for contacts
     hull: float = math.inf  # of L at any time, m
-    link_growth: float = math.inf  # of how much longer a link ever is than at the start, m
-    tolerated_bearing_error: float = 0.0  # η, rad: any less leaves a finite time
+    link_growth: float = math.inf  # maximum growth of a link over its initial length, m
+    tolerated_bearing_error: float = 0.0  # η, rad: below it, the time is finite
 
 
 def bounds_with_errors(
     asked: Asked, time: Any, tolerated: float, words: str, who: str, even_so: str = "", **rest: Any
-) -> Bounds:
+) -> TheoremBounds:
     """Numbers with bearing errors: a rendezvous guarantee if the time, s, is finite.
 
     Otherwise a message that the time overflows, or that η exceeds the ``tolerated`` error, rad, of
@@ -83,7 +83,7 @@ def bounds_with_errors(
     if not meets and borne:
         words = (
             f"none: the bound of {who} on the time overflows, beyond {sys.float_info.max:.2g} s, "
-            "and no rendezvous is promised"
+            "and rendezvous is not guaranteed"
         )
     elif not meets and asked.error == 0.0:
         words = ""
@@ -93,7 +93,7 @@ def bounds_with_errors(
             f"than {at_least(tolerated)} rad here (guarantees 11){even_so}"
         )
     time = float(time) if meets else math.inf
-    return Bounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
+    return TheoremBounds(words, meets, time, tolerated_bearing_error=tolerated, **rest)
 
 
 Assumption = Callable[[Scenario, Asked], str]
@@ -106,21 +106,21 @@ TWO_CRASHED = "none: two robots that crash apart can never meet; at most one may
 class Theorem:
     """A theorem with its assumptions and bounds."""
 
-    name: str  # as docs/guarantees.md calls it
-    by: tuple[str, ...]  # what keeps the guarantee: some of CHOICES
-    assumptions: tuple[Assumption, ...]  # all of them must hold
-    bounds: Callable[[Scenario, Asked], Bounds]  # its promise for a scenario that meets them all
-    rendezvous: bool = True  # whether it can promise one, and not only that something is bounded
+    name: str  # name in docs/guarantees.md
+    by: tuple[str, ...]  # mechanisms of the guarantee, from CHOICES
+    assumptions: tuple[Assumption, ...]  # all must hold
+    bounds: Callable[[Scenario, Asked], TheoremBounds]  # for a scenario that meets all
+    rendezvous: bool = True  # whether it can guarantee rendezvous, and not only bounds
     every_step: str = ""
     """Property of every step without merge or contact, or empty: V does not increase ("descent"),
     nor V + ΣA ("ledger"), the hull ("nested", while linked robots are at least r apart), or any
     link ("links")."""
     clocks: tuple[str, ...] = ()
-    """Values of ``Scenario.hold`` with which it also holds where robots have clocks of their own
-    (``Scenario.activation``)."""
+    """Values of ``Scenario.hold`` with which it also holds under asynchronous
+    ``Scenario.activation``."""
     events: tuple[str, ...] = ()
-    """Kinds of ``Scenario.events`` with which it also holds. Frames may turn in all theorems but
-    those that assume ``frames_stay`` (docs/proofs.md, N2)."""
+    """Kinds of ``Scenario.events`` with which it also holds. Frames may rotate in all theorems
+    except those that assume ``frames_stay`` (docs/proofs.md, N2)."""
 
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
         """Number of assumptions met before the first failure, and its message, if any.
@@ -130,20 +130,20 @@ class Theorem:
         clocks = scenario.activation
         if not clocks.synchronous and scenario.hold not in self.clocks:
             return -2, (
-                f"none: robots have clocks of their own (activation {clocks}, hold = "
-                f"{scenario.hold!r}), and no theorem covers {CHOICES[asked.by]} with them"
+                f"none: activation is asynchronous ({clocks}, hold = "
+                f"{scenario.hold!r}), and no theorem covers {CHOICES[asked.by]} under it"
             )
         if kinds := scenario.events.kinds - {"compass", *self.events}:
             return -1, _why_not_with(scenario, kinds, CHOICES[asked.by])
         if scenario.meeting == "pack":
             return 0, (
-                "none: theorems end with one robot left, and with meeting='pack' none merges; "
-                "bodies do not overlap, whatever the policy"
+                "none: theorems are about merging, and with meeting='pack' robots do not merge; "
+                "bodies never overlap under any policy"
             )
         if scenario.drops_neighbours:
             return 0, (
                 "none: with neighbour_overflow='nearest' a robot may have more neighbours than "
-                f"the {scenario.neighbour_slots} rows that it sees, and those do not add up to f"
+                f"the {scenario.neighbour_slots} observed rows, whose sum is then not f"
             )
         failing = ((met, holds(scenario, asked)) for met, holds in enumerate(self.assumptions))
         return next((found for found in failing if found[1]), (len(self.assumptions), ""))
@@ -155,7 +155,7 @@ def _why_not_with(scenario: Scenario, kinds: set[str], who: str) -> str:
     if len(events.crashes) + events.n_crashed > 1:
         return TWO_CRASHED
     if "adversary" in kinds:
-        return "none: an adversarial robot can flee for ever, at the speed of the others"
+        return "none: an adversarial robot can escape at the speed of the others"
     if "noise" in kinds:
         return "none: a Gaussian disturbance has no bound; events.disturbance has one"
     return f"none: no theorem covers {who} with these failures or disturbances ({events})"

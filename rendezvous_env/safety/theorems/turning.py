@@ -26,7 +26,7 @@ from ...scenario.scenario import Scenario
 from ..settings import MAX_TURN_RATE
 from . import assumptions as given
 from . import constants as known
-from .theorem import Asked, Bounds, Theorem
+from .theorem import Asked, Theorem, TheoremBounds
 
 _LEAST_TURN = 2.0**-40  # rad
 
@@ -54,8 +54,9 @@ def turns_outlast_rounding(scenario: Scenario, asked: Asked) -> str:
     if turned >= _LEAST_TURN:
         return ""
     return (
-        f"none: a step may turn robots by as little as {turned:.3g} rad, which rounding takes from "
-        f"their angles; it must be {_LEAST_TURN:.3g} rad or more: make time_step or max_turn_rate "
+        f"none: a step may turn robots by as little as {turned:.3g} rad, below the rounding error "
+        f"of their angles; it must be {_LEAST_TURN:.3g} rad or more: make time_step or "
+        "max_turn_rate "
         "larger"
     )
 
@@ -70,24 +71,24 @@ def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
     return count, min(aligned, strayed)
 
 
-def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def gate_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Theorem T."""
     count, fall = gated_window(scenario, asked.min_alignment)
     windows = known.over_rate(known.lyapunov_bound(scenario), fall) + scenario.n_robots
     words = (
-        "theorem T: under the gate robots that turn meet in finite time, whatever turn rates are "
-        "asked for"
+        "theorem T: under the gate nonholonomic robots meet in finite time, for any desired turn "
+        "rates"
     )
     if scenario.mixes_models:
         words = (
             "theorem T, mixed teams: under certified headings and the gate all robots meet in "
-            "finite time, whatever headings and turn rates are asked for"
+            "finite time, for any desired headings and turn rates"
         )
     words += (
         "; the bound is very loose and needs a wrapper that allows "
         f"{min(scenario.min_turn_limit, MAX_TURN_RATE):g} rad/s"
     )
-    return Bounds(words, meets=True, time=float(count * scenario.tau * windows))
+    return TheoremBounds(words, meets=True, time=float(count * scenario.tau * windows))
 
 
 def planar_if_mixed(scenario: Scenario, asked: Asked) -> str:
@@ -100,7 +101,7 @@ def planar_if_mixed(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+def law_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
     """Theorems 3 and 4."""
     words = f"{scenario.model.theorem}: the paper's law meets in continuous time; no bound"
     if scenario.mixes_models:
@@ -108,7 +109,7 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
             "theorems 1 and 3, mixed teams: the law of each robot's model meets in continuous "
             "time; no bound"
         )
-    return Bounds(words, meets=True)
+    return TheoremBounds(words, meets=True)
 
 
 _LASTS = given.outlasts_rounding, turns_outlast_rounding

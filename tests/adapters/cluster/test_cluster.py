@@ -31,7 +31,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not have this file
 
 PLAYED = (
-    "compare", "--scenarios", "duo", "clutter-8", "--policies", "bearing-only", "tangent-joined",
+    "compare", "--scenarios", "duo", "clutter-8", "--policies", "bearing-only", "tangent-merged",
     "learned", "--episodes", "140", "--keep", "2", "--no-figures", "--ceiling", "1",
 )  # fmt: skip
 

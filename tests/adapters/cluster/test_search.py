@@ -12,8 +12,8 @@ pytest.importorskip("ray")
 def test_search_finds_policy(tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     small = (
-        "--scenario", "clutter-4", "--trials", "2", "--steps", "2048", "--teams", "8",
-        "--evaluations", "2", "--starts", "4", "--storage", str(tmp_path),
+        "--scenario", "clutter-4", "--trials", "2", "--steps", "2048", "--num-envs", "8",
+        "--evaluations", "2", "--eval-episodes", "4", "--storage", str(tmp_path),
     )  # fmt: skip
     told = run("10_ray_tune.py", *small)
     said = re.search(

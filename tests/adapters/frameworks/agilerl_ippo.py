@@ -7,12 +7,12 @@ from held_out import SCENARIO, measure, settings
 
 import rendezvous_env as rv
 
-given = settings(__doc__, updates=24, teams=64)
+given = settings(__doc__, updates=24, num_envs=64)
 HORIZON = 32
-envs = rv.vector.training_env(SCENARIO, given.teams)
+envs = rv.vector.training_env(SCENARIO, given.num_envs)
 one = rv.training_env(SCENARIO)
 names = one.possible_agents
-frames = HORIZON * given.teams * len(names)
+frames = HORIZON * given.num_envs * len(names)
 
 
 def by_name(table):
@@ -26,7 +26,7 @@ def table_of(found):
 
 def random_steps():
     envs.step(envs.action_space.sample())
-    return given.teams * len(names)
+    return given.num_envs * len(names)
 
 
 torch.manual_seed(0)
@@ -52,7 +52,7 @@ def policy(seen):
 def train():
     learner.set_training_mode(True)
     seen, _ = envs.reset(seed=0)
-    over = np.zeros((given.teams, len(names)))
+    over = np.zeros((given.num_envs, len(names)))
     for _ in range(given.updates):
         rows = [[] for _ in range(6)]
         for _ in range(HORIZON):
@@ -69,4 +69,4 @@ def train():
 
 
 envs.reset(seed=0)
-measure(random_steps, train, policy, given.starts)
+measure(random_steps, train, policy, given.episodes)

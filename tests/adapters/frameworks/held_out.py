@@ -18,17 +18,17 @@ Policy = Callable[[NDArray[np.float32]], NDArray[Any]]
 
 
 def settings(description: str | None, **defaults: int) -> argparse.Namespace:
-    """Options of a script with defaults; ``starts`` counts held-out initial conditions."""
+    """Options of a script with defaults; ``episodes`` counts held-out ones."""
     parser = argparse.ArgumentParser(description=description)
-    for name, default in (defaults | {"starts": 100}).items():
-        parser.add_argument(f"--{name}", type=int, default=default)
+    for name, default in (defaults | {"episodes": 100}).items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=default)
     return parser.parse_args()
 
 
-def collision_free_success(policy: Policy, starts: int) -> float:
+def collision_free_success(policy: Policy, episodes: int) -> float:
     """Fraction of held-out initial conditions with collision-free rendezvous."""
     env, clean = rv.training_env(SCENARIO), 0
-    for seed in range(10_000, 10_000 + starts):
+    for seed in range(10_000, 10_000 + episodes):
         observations, infos = env.reset(seed=seed)
         while env.agents:
             names, seen = zip(*observations.items(), strict=True)
@@ -36,11 +36,11 @@ def collision_free_success(policy: Policy, starts: int) -> float:
             observations, _, _, _, infos = env.step(actions)
         last = next(iter(infos.values()))
         clean += bool(last["success"] and not last["contacts"])
-    return clean / starts
+    return clean / episodes
 
 
 def measure(
-    steps: Callable[[], int], train: Callable[[], int], policy: Policy, starts: int
+    steps: Callable[[], int], train: Callable[[], int], policy: Policy, episodes: int
 ) -> None:
     """Train, and print one line of JSON: speed, duration, success before and after.
 
@@ -48,14 +48,14 @@ def measure(
         steps: takes random steps, and returns how many, of single robots.
         train: trains what the policy uses, and returns how many steps of robots it took.
         policy: the one that is judged.
-        starts: how many held-out starts are played.
+        episodes: number of held-out episodes.
     """
     steps()  # warms up
     began, count = time.perf_counter(), 0
     while (passed := time.perf_counter() - began) < 2.0:
         count += steps()
-    before = collision_free_success(policy, starts)
+    before = collision_free_success(policy, episodes)
     began = time.perf_counter()
     found = {"frames_per_second": count / passed, "training_frames": train()}
     found |= {"training_seconds": time.perf_counter() - began, "before": before}
-    print(json.dumps(found | {"after": collision_free_success(policy, starts)}))
+    print(json.dumps(found | {"after": collision_free_success(policy, episodes)}))

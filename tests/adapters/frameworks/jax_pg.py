@@ -10,8 +10,8 @@ from held_out import SCENARIO, measure, settings
 
 from rendezvous_env import vector
 
-given = settings(__doc__, updates=40, teams=64)
-envs = vector.training_env(SCENARIO, given.teams)
+given = settings(__doc__, updates=40, num_envs=64)
+envs = vector.training_env(SCENARIO, given.num_envs)
 _, n, size = envs.observation_space.shape
 HORIZON, DISCOUNT, SPREAD = 32, 0.97, 0.5
 
@@ -63,7 +63,7 @@ def update(weights, state, *batch):
 
 def random_steps():
     envs.step(envs.action_space.sample())
-    return given.teams * n
+    return given.num_envs * n
 
 
 def clip(actions):
@@ -95,8 +95,8 @@ def train():
         observed, chosen, acted = (np.stack([step[i] for step in path]) for i in (0, 1, 4))
         weights, state = update(learned, state, observed, chosen, np.stack(returns), acted)
         learned.update(weights)
-    return given.updates * HORIZON * given.teams * n
+    return given.updates * HORIZON * given.num_envs * n
 
 
 envs.reset(seed=0)
-measure(random_steps, train, lambda seen: clip(best(learned, seen)), given.starts)
+measure(random_steps, train, lambda seen: clip(best(learned, seen)), given.episodes)

@@ -5,12 +5,12 @@ from held_out import SCENARIO, measure, settings
 
 from rendezvous_env import vector
 
-# a generation has mirrored pairs of candidates, and so many teams play each of them
-given = settings(__doc__, generations=20, pairs=16, teams=8)
+# a generation has mirrored pairs of candidates, and each plays in num_envs environments
+given = settings(__doc__, generations=20, pairs=16, num_envs=8)
 candidates = 2 * given.pairs
-envs = vector.training_env(SCENARIO, candidates * given.teams)
+envs = vector.training_env(SCENARIO, candidates * given.num_envs)
 _, n, size = envs.observation_space.shape
-robots = candidates * given.teams * n
+robots = candidates * given.num_envs * n
 rng = np.random.default_rng(0)
 mean = rng.normal(0, 0.1, (size, 2))
 
@@ -51,4 +51,4 @@ def train():
 
 
 envs.reset(seed=0)
-measure(random_steps, train, policy, given.starts)
+measure(random_steps, train, policy, given.episodes)

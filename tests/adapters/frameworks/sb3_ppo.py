@@ -7,8 +7,8 @@ from stable_baselines3 import PPO
 from rendezvous_env import vector
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 
-given = settings(__doc__, frames=200_000, teams=64)
-robots = RobotVecEnv(vector.training_env(SCENARIO, given.teams))
+given = settings(__doc__, frames=200_000, num_envs=64)
+robots = RobotVecEnv(vector.training_env(SCENARIO, given.num_envs))
 rng = np.random.default_rng(0)
 model = PPO("MlpPolicy", robots, n_steps=64, batch_size=1024, n_epochs=5, seed=0, device="cpu")
 
@@ -24,4 +24,4 @@ def policy(seen):
 
 robots.seed(0)
 robots.reset()
-measure(random_steps, lambda: model.learn(given.frames).num_timesteps, policy, given.starts)
+measure(random_steps, lambda: model.learn(given.frames).num_timesteps, policy, given.episodes)

@@ -13,7 +13,7 @@ from skrl.utils import set_seed
 
 from rendezvous_env import vector
 
-given = settings(__doc__, steps=768, teams=64)
+given = settings(__doc__, steps=768, num_envs=64)
 HORIZON = 32
 
 
@@ -83,7 +83,7 @@ class Critic(DeterministicMixin, Model):
 
 set_seed(0)
 torch.set_num_threads(1)
-robots = Robots(vector.training_env(SCENARIO, given.teams))
+robots = Robots(vector.training_env(SCENARIO, given.num_envs))
 actor = Actor(robots)
 settings = {"rollouts": HORIZON, "learning_epochs": 4, "mini_batches": 8, "discount_factor": 0.97}
 learner = PPO(
@@ -113,4 +113,4 @@ def train():
 
 
 robots.reset()
-measure(random_steps, train, policy, given.starts)
+measure(random_steps, train, policy, given.episodes)

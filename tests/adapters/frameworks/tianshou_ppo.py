@@ -15,7 +15,7 @@ from tianshou.utils.net.continuous import ContinuousActorProbabilistic, Continuo
 
 from rendezvous_env import vector
 
-given = settings(__doc__, epochs=12, teams=64)
+given = settings(__doc__, epochs=12, num_envs=64)
 
 
 class Robots(BaseVectorEnv):
@@ -58,7 +58,9 @@ class Robots(BaseVectorEnv):
         self.teams.close()
 
 
-robots = Robots(vector.training_env(SCENARIO, given.teams, autoreset_mode=AutoresetMode.DISABLED))
+robots = Robots(
+    vector.training_env(SCENARIO, given.num_envs, autoreset_mode=AutoresetMode.DISABLED)
+)
 actions = robots.action_space[0]
 size = robots.observation_space[0].shape[0]
 torch.manual_seed(0)
@@ -110,4 +112,4 @@ def train():
 
 
 collector.reset(gym_reset_kwargs={"seed": 0})
-measure(random_steps, train, policy, given.starts)
+measure(random_steps, train, policy, given.episodes)

@@ -11,8 +11,8 @@ if util.find_spec("irsim") is None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("policy", ["tangent-joined-tuned", "learned"])
+@pytest.mark.parametrize("policy", ["tangent-merged-tuned", "learned"])
 def test_robots_meet_in_irsim_without_contact(policy):
     told, last = run("13_ir_sim.py", "--policy", policy, "--episodes", "1").splitlines()
     assert 3.0 < float(re.fullmatch(r"0: met True, touched False, (\S+) s", told)[1]) < 90.0
-    assert last == f"{policy}: 1 of 1 teams met without a touch"
+    assert last == f"{policy}: 1 of 1 episodes met without a contact"

@@ -116,9 +116,9 @@ def test_eyes_reject_more_robots_than_lamps():
 @pytest.mark.slow
 def test_policies_meet_from_pixels(tmp_path):
     film = tmp_path / "film.gif"
-    words = ["--policy", "tangent-joined-tuned", "--episodes", "4", "--film", str(film)]
+    words = ["--policy", "tangent-merged-tuned", "--episodes", "4", "--film", str(film)]
     said = run_python(ROOT, "examples/12_pixels.py", *words).stdout
-    assert said.startswith("4 of 4 teams met without a contact\n")
+    assert said.startswith("4 of 4 episodes met without a contact\n")
     found = {name: float(value) for name, value in re.findall(r"^(\w+): (\S+)$", said, re.M)}
     assert found["median"] < 0.5 < found["worst"] and 0.05 < found["missed"] < 0.8
     assert found["missed_in_sight"] < 0.1 and found["found_though_hidden"] < 0.1
@@ -127,7 +127,7 @@ def test_policies_meet_from_pixels(tmp_path):
 
 @pytest.mark.slow
 def test_reproduce_pixels_compares_with_camera_preset(tmp_path):
-    words = ["pixels", "--policy", "tangent-joined-tuned", "--episodes", "2", "--seed", "3"]
+    words = ["pixels", "--policy", "tangent-merged-tuned", "--episodes", "2", "--seed", "3"]
     said = run_python(ROOT, "-m", "train.cli", "reproduce", *words, "--out", tmp_path).stdout
     assert "100.0% by Sensing.camera()" in said
     (row,) = results.read_csv(tmp_path / "pixels.csv")

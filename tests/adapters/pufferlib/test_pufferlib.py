@@ -104,7 +104,7 @@ def test_seeds_apply_and_bad_arguments_are_rejected():
 @pytest.mark.slow
 def test_example_learns():
     """Evaluated on held-out initial conditions."""
-    told = run("09_pufferlib_ppo.py", "--updates", "15", "--teams", "64", "--held-out", "100")
+    told = run("09_pufferlib_ppo.py", "--updates", "15", "--num-envs", "64", "--held-out", "100")
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
     assert float(met_after) > float(met) + 20
     assert float(clean_after) > float(clean)

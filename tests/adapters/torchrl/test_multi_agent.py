@@ -10,9 +10,9 @@ pytest.importorskip("benchmarl.experiment")
 
 from rendezvous_env import scenarios
 from rendezvous_env.adapters.torchrl import GROUP
-from train.leaderboard import cards, command, registry
+from train.leaderboard import command, registry, run_records
 from train.leaderboard.algorithms import multi_agent
-from train.leaderboard.teams import make_training_envs
+from train.leaderboard.environments import make_training_envs
 
 NAMES = tuple(
     f"{learner}-{safety}"
@@ -20,7 +20,7 @@ NAMES = tuple(
     for safety in ("none", "heading")
 )
 SMALL = command.Config(
-    algorithms=NAMES, fields=("clutter-8",), seeds=(0,), decisions=2**12, starts=4, jobs=1
+    algorithms=NAMES, fields=("clutter-8",), seeds=(0,), decisions=2**12, episodes=4, jobs=1
 )
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
 
@@ -31,7 +31,11 @@ def test_learners_train_in_common_environments(safety):
     price = 0.0 if safety == "none" else None
     teams = make_training_envs(field, 3, safety=safety, anew=True, contact_penalty=price)
     env = multi_agent.task_of(field, safety).get_env_fun(3, False, 7, "cpu")()
-    assert env.teams.contact_penalty == teams.contact_penalty == (0.0 if safety == "none" else 1.0)
+    assert (
+        env.vector_env.contact_penalty
+        == teams.contact_penalty
+        == (0.0 if safety == "none" else 1.0)
+    )
     seen, _ = teams.reset(seed=7)
     now, random = env.reset(), np.random.default_rng(0)
     for _ in range(60):
@@ -49,7 +53,7 @@ def test_learners_train_in_common_environments(safety):
 def board(tmp_path_factory):
     out = tmp_path_factory.mktemp("board") / "out"
     assert command.run(replace(SMALL, out=out)) == 0
-    return {card["algorithm"]: (out, card) for card in cards.read_cards(out)}
+    return {card["algorithm"]: (out, card) for card in run_records.read_records(out)}
 
 
 @pytest.mark.parametrize("name", ["ippo-none", "mappo-heading", "masac-none", "qmix-heading"])
@@ -68,7 +72,7 @@ def test_seed_and_filter_change_result(board):
         bare, headed = (board[f"{learner}-{safety}"][1] for safety in ("none", "heading"))
         assert bare["results"] != headed["results"] and not sum(headed["results"]["risen"])
     place = command.plan(replace(SMALL, algorithms=("ippo-none",), seeds=(1,)))[0]
-    assert cards.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
+    assert run_records.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
 
 
 def test_all_algorithms_are_registered():

@@ -13,7 +13,7 @@ from gymnasium.wrappers.vector import TransformReward
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from rendezvous_env.adapters.torchrl import GROUP, RendezvousEnv
+from rendezvous_env.adapters.torchrl import GROUP, RendezvousTorchRLEnv
 from rendezvous_env.vector import training_env
 from train.bench import bench
 
@@ -37,7 +37,7 @@ def _same_random_actions():
     ],
 )
 def test_environment_passes_check_env_specs(choices):
-    env = RendezvousEnv("clutter-8", 3, seed=1, **choices)
+    env = RendezvousTorchRLEnv("clutter-8", 3, seed=1, **choices)
     check_env_specs(env)
     start = env.reset()
     assert start[SEEN].shape[:2] == start[ACTIVE].shape[:2] == (3, 4)
@@ -48,7 +48,7 @@ def test_environment_passes_check_env_specs(choices):
 def test_conditions_of_robots_are_in_the_group_info():
     clocks = {"kind": "periodic", "period": 2, "phase": [0, 0, 1, 1]}
     choices = {"activation": clocks, "costs": "rise", "spawn_size": 60.0, "obstacles": ()}
-    env = RendezvousEnv("clutter-8", 3, seed=1, **SHORT, **choices)
+    env = RendezvousTorchRLEnv("clutter-8", 3, seed=1, **SHORT, **choices)
     check_env_specs(env)
     data, _ = drive(env, 4)
     told = data["next", GROUP, "info"]
@@ -61,9 +61,9 @@ def test_mixed_team_with_sensors_per_robot_acts_as_in_the_vector_environment():
     models = ["single_integrator", "unicycle", "double_integrator", "unicycle"]
     sensing = {"field_of_view": [6.2, 1.2, 3.0, 2.0], "noise": [0.0, 0.1, 0.2, 0.0]}
     choices = {**SHORT, "robot_model": models, "sensing": sensing, "obstacles": ()}
-    env = RendezvousEnv("clutter-8", 3, seed=1, **choices)
+    env = RendezvousTorchRLEnv("clutter-8", 3, seed=1, **choices)
     check_env_specs(env)
-    env = RendezvousEnv("clutter-8", 3, seed=5, **choices)
+    env = RendezvousTorchRLEnv("clutter-8", 3, seed=5, **choices)
     data, tape = drive(env, 5)
     teams = training_env("clutter-8", 3, autoreset_mode=AutoresetMode.DISABLED, **choices)
     seen, _ = teams.reset(seed=5)
@@ -87,7 +87,7 @@ def test_rollout_equals_vector_environment():
     """Teams meet and time out; final observations belong to the ended episode."""
     choices = {"learning_preset": False, "decision_period": 4, "time_limit": 12.0}
     choices |= {"costs": ("contact", "rise")}
-    env = RendezvousEnv("clutter-8", 6, seed=5, **choices)
+    env = RendezvousTorchRLEnv("clutter-8", 6, seed=5, **choices)
     data, tape = drive(env, 130)
     teams = training_env("clutter-8", 6, autoreset_mode=AutoresetMode.DISABLED, **choices)
     (seen, _), over = teams.reset(seed=5), np.ones(6, bool)
@@ -114,7 +114,7 @@ def test_rollout_equals_vector_environment():
 
 
 def test_partial_reset_keeps_other_environments():
-    env = RendezvousEnv("fig3", 4, seed=0, **SHORT)
+    env = RendezvousTorchRLEnv("fig3", 4, seed=0, **SHORT)
     now = env.reset()
     for _ in range(3):
         now = env.step_mdp(env.step(env.rand_action(now)))
@@ -127,7 +127,7 @@ def test_partial_reset_keeps_other_environments():
 
 
 def test_seeds_are_per_environment():
-    env = RendezvousEnv("fig3", 3, **SHORT)
+    env = RendezvousTorchRLEnv("fig3", 3, **SHORT)
     env.set_seed(11)
     first = env.reset()[SEEN]
     assert not torch.equal(first, env.reset()[SEEN])
@@ -137,18 +137,20 @@ def test_seeds_are_per_environment():
     assert torch.equal(one[1], first[1]) and not torch.equal(one[0], first[0])
     rest = env.reset()[SEEN]  # the seeds that were still to be used
     assert torch.equal(rest[[0, 2]], first[[0, 2]]) and not torch.equal(rest[1], first[1])
-    torch.testing.assert_close(RendezvousEnv("fig3", 1, seed=12, **SHORT).reset()[SEEN], first[1:2])
+    torch.testing.assert_close(
+        RendezvousTorchRLEnv("fig3", 1, seed=12, **SHORT).reset()[SEEN], first[1:2]
+    )
 
 
 def test_rollout_waits_for_all_environments():
-    env = RendezvousEnv("duo", 5, seed=0)
+    env = RendezvousTorchRLEnv("duo", 5, seed=0)
     with torch.no_grad():
         data = env.rollout(env.max_steps, break_when_any_done=False, break_when_all_done=True)
     assert data["next", "done"][:, -1].all() and not data["next", "done"][:, -2].all()
 
 
 def test_reset_takes_initial_condition():
-    env = RendezvousEnv("duo", 2, **SHORT)
+    env = RendezvousTorchRLEnv("duo", 2, **SHORT)
     env.reset(options={"positions": [[0.0, 0.0], [3.0, 4.0]]})
     np.testing.assert_allclose(env.simulator.positions, [[[0, 0], [3, 4]]] * 2)
     with pytest.raises(ValueError, match="positions"):
@@ -157,7 +159,7 @@ def test_reset_takes_initial_condition():
 
 def test_final_state_is_reported():
     """A time-out is bootstrapped from the final state, not from the next initial one."""
-    env = RendezvousEnv("fig3", 2, seed=3, return_state=True, **SHORT)
+    env = RendezvousTorchRLEnv("fig3", 2, seed=3, return_state=True, **SHORT)
     data, _ = drive(env, env.max_steps + 2)
     last, begun = env.max_steps - 1, env.max_steps
     assert data["next", "truncated"][:, last].all()
@@ -166,7 +168,7 @@ def test_final_state_is_reported():
 
 
 def test_invalid_actions_are_rejected():
-    env = RendezvousEnv("fig3", 2, seed=0, **SHORT)
+    env = RendezvousTorchRLEnv("fig3", 2, seed=0, **SHORT)
     now = env.reset()
     bad = torch.zeros(env.full_action_spec[ACTION].shape)
     bad[1, 2] = torch.nan
@@ -179,7 +181,7 @@ def test_invalid_actions_are_rejected():
 def test_reward_wrapper_changes_robot_rewards():
     found, more = [], lambda teams: TransformReward(teams, lambda rewards: rewards + 5.0)
     for options in ({}, {"wrap": more}):
-        env = RendezvousEnv("clutter-4", 3, seed=0, **options)
+        env = RendezvousTorchRLEnv("clutter-4", 3, seed=0, **options)
         data = env.reset()
         data[GROUP, "action"] = env.action_spec[GROUP, "action"].zero()
         found.append(env.step(data)["next", GROUP, "reward"].numpy())

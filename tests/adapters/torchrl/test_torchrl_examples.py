@@ -8,7 +8,7 @@ from test_examples import run
 pytest.importorskip("torchrl.envs")
 pytest.importorskip("benchmarl.experiment")
 
-SMALL = ("--updates", "14", "--teams", "64", "--held-out", "50")
+SMALL = ("--updates", "14", "--num-envs", "64", "--held-out", "50")
 
 
 def judged(told):

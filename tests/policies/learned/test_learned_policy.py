@@ -61,7 +61,7 @@ def write(folder):
 def episode(scenario, teams=6, seed=2, steps=150):
     """Observations (B, n, rows, d) of an episode of the merged-interval rule, until one ends."""
     simulator = Simulator(scenario, teams)
-    observations, law = simulator.reset(seed), baselines.make("tangent-joined", scenario)
+    observations, law = simulator.reset(seed), baselines.make("tangent-merged", scenario)
     for _ in range(steps):
         yield observations
         observations = simulator.step(law(observations, 0.0)).observations
@@ -74,7 +74,7 @@ class TestActions:
         with torch.no_grad():
             made.action_net.bias[0] = 10.0
         ours = LearnedPolicy(CLUTTER, weights(made), SETTINGS)
-        rule = baselines.make("tangent-joined-tuned", CLUTTER, clearance=0.1, persistence=0.5,
+        rule = baselines.make("tangent-merged-tuned", CLUTTER, clearance=0.1, persistence=0.5,
                               min_alignment=0.1, max_turn_rate=3.0)  # fmt: skip
         turned = 0
         for observations in episode(CLUTTER):
@@ -107,8 +107,8 @@ class TestActions:
             tolerance = 0.0 if changes else 1e-5  # a heading's speed is limited afterwards
             np.testing.assert_allclose(teams._observed, observations, rtol=0.0, atol=tolerance)
         if changes:
-            np.testing.assert_array_equal(teams.guided.steering.levels, policy.levels)
-            assert (teams.guided.steering.levels != 1.2).any()
+            np.testing.assert_array_equal(teams.controller.steering.levels, policy.levels)
+            assert (teams.controller.steering.levels != 1.2).any()
 
     def test_environments_decide_at_their_own_times(self):
         together = learned(decision_time=0.2)
@@ -159,7 +159,7 @@ class TestFiles:
             ({"guarantee": "tank"}, "size mismatch"),
             ({"perception": 99}, "perception is 99; this version has"),
             ({"colour": "blue"}, "field 'colour' is missing or unknown"),
-            ({"hidden": None}, "is no policy of this version"),
+            ({"hidden": None}, "is not a policy of this version"),
             ({}, r"action_net\.bias must be finite"),
         ],
     )

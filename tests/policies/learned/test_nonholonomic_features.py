@@ -11,9 +11,9 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from baselines.learned import checkpoints, shipped
-from baselines.learned.guide import CommandedTank, GuidedTeams
+from baselines.learned.base_controller import BaseController, CommandedTank
 from baselines.learned.policy_settings import PolicySettings
-from baselines.steady_frames import OdometryFrame, SteadyPlanes
+from baselines.steady_frames import OdometryFrame, OdometryPlane
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.safety.tank import certain_descent
 from train.learn.settings import Config
@@ -64,7 +64,7 @@ def test_directions_in_plane_are_steady_while_f_rotates():
     """Changing gains rotate f between two bearings, which stay constant."""
     first, second = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
     scenario, _ = robots_that_see([first, second])
-    planes, found = SteadyPlanes(scenario, 1, 0.1), []
+    planes, found = OdometryPlane(scenario, 1, 0.1), []
     for gain in np.linspace(0.1, 0.9, 9):
         _, rows = robots_that_see([gain * first, (1 - gain) * second])
         seen = planes.seen(rows, EVERY)[0, 0].astype(float)
@@ -77,7 +77,7 @@ def test_directions_in_plane_are_steady_while_f_rotates():
 def test_f_in_plane_ignores_outside_components():
     random = np.random.default_rng(0)
     scenario, rows = robots_that_see(random.normal(size=(4, 3)))
-    planes = SteadyPlanes(scenario, 1, 0.1)
+    planes = OdometryPlane(scenario, 1, 0.1)
     for _ in range(5):
         rows = (rows + random.normal(0.0, 0.2, rows.shape)).astype(np.float32)
         seen = planes.seen(rows, EVERY)[..., :4, :].sum(axis=-2)
@@ -93,7 +93,7 @@ def test_plane_is_kept_while_blocked():
     scenario = scenario.replace(obstacle_slots=1, obstacles=())
     around = np.arange(8)[:, None] * np.pi / 4 + 0.1
     ring = np.cos(around) * [0.0, 1.0, 0.0] + np.sin(around) * [0.0, 0.0, 1.0]
-    planes, found = SteadyPlanes(scenario, 1, 0.1), []
+    planes, found = OdometryPlane(scenario, 1, 0.1), []
     rows = np.concatenate([rows, np.zeros((1, 2, 8, 3), np.float32)], axis=2)
     for shift in ([0.0, -0.3, 0.0], [0.0, 0.0, -0.3], None, [0.0, 0.0, -0.3]):
         rows[..., 1:, :] = 0.0
@@ -114,7 +114,7 @@ def test_plane_does_not_rotate_with_body(scenario, share):
     """The plane of a nearly stationary robot is constant for any turn rates and early ticks."""
     scenario = scenario.replace(obstacles=(), obstacle_slots=1)
     simulator = rv.Simulator(scenario.replace(time_step=share * scenario.tau), 4)
-    planes, random = SteadyPlanes(scenario, 4, 0.1), np.random.default_rng(0)
+    planes, random = OdometryPlane(scenario, 4, 0.1), np.random.default_rng(0)
     seen, teams = simulator.reset(1), np.arange(4)
     first = planes.seen(seen, teams).copy()
     for _ in range(30):
@@ -130,13 +130,13 @@ def test_plane_does_not_rotate_with_body(scenario, share):
 def test_robots_turn_to_chosen_heading(settings):
     """Choice 0 without obstacles: the body turns along f, and the team meets."""
     free = CARS.replace(obstacles=(), time_limit=60.0)
-    guided, simulator = GuidedTeams(settings, free, 4), rv.Simulator(free, 4)
+    controller, simulator = BaseController(settings, free, 4), rv.Simulator(free, 4)
     seen = simulator.reset(1)
     for step in range(500):
         if step == 80:
             f = free.observation_layout.net_bearing(seen)
             off = np.abs(np.arctan2(f[..., 1], f[..., 0]))
-        seen = simulator.step(guided.apply(seen)).observations
+        seen = simulator.step(controller.apply(seen)).observations
     assert np.median(off) < 0.1 and (simulator.status == RENDEZVOUS).all()
 
 
@@ -155,30 +155,29 @@ def test_v_plus_tanks_never_increases(scenario, budget, every, least_apart, leas
     """Theorem D under arbitrary choices without obstacles, until the first merge."""
     settings = replace(TANK, budget=5.0 if budget is None else budget / 0.6)  # in units of r D̄
     free = scenario.replace(obstacles=(), time_step=None, time_limit=60.0)
-    guided, simulator = GuidedTeams(settings, free, 8), rv.Simulator(free, 8)
+    controller, simulator = BaseController(settings, free, 8), rv.Simulator(free, 8)
     seen, random = simulator.reset(4), np.random.default_rng(4)
-    levels = guided.tank.levels.sum(axis=1)
+    levels = controller.tank.levels.sum(axis=1)
     assert budget is None or levels == pytest.approx(free.n_robots * budget)
     before, rises, apart = simulator.lyapunov() + levels, 0, np.ones(8, bool)
     for step in range(300):
         if step % every == 0:
-            guided.choose(random.integers(14, size=guided.choices.shape))
+            controller.choose(random.integers(14, size=controller.choices.shape))
         v = simulator.lyapunov()
-        seen = simulator.step(guided.apply(seen)).observations
+        seen = simulator.step(controller.apply(seen)).observations
         apart &= (simulator.merged_into == np.arange(free.n_robots)).all(axis=1)
         rises += int((simulator.lyapunov() > v)[apart].sum())
-        now = simulator.lyapunov() + guided.tank.levels.sum(axis=1)
-        assert (now <= before + 1e-9)[apart].all() and guided.tank.levels.min() >= 0.0
+        now = simulator.lyapunov() + controller.tank.levels.sum(axis=1)
+        assert (now <= before + 1e-9)[apart].all() and controller.tank.levels.min() >= 0.0
         before = now
     assert apart.sum() >= least_apart and rises >= least_rises
 
 
-@pytest.mark.kernels
 @pytest.mark.parametrize(
     ("scenario", "kind", "most", "shares"),
     [
         (CARS, OdometryFrame, 0.03, (0.1, 0.5, 0.9, 1.0, 2.0)),
-        (UAV, SteadyPlanes, 0.08, (0.1, 0.5, 0.9)),
+        (UAV, OdometryPlane, 0.08, (0.1, 0.5, 0.9)),
     ],
     ids=["unicycle", "space"],
 )
@@ -243,7 +242,7 @@ def test_early_tick_rotates_memory_by_actual_turn():
     for _ in range(10):
         angle = 2.0 - turned
         action = robot.act([[np.cos(angle), np.sin(angle)]], dt=CARS.tau / 4)
-        bodies = robot.policy._guided.bodies
+        bodies = robot.policy._controller.bodies
         ahead = bodies.seen(robot._team, EVERY)[0, 0, 0]  # after the step that was commanded
         turned += float(action[1]) * CARS.tau / 4
         wanted = 2.0 + float(action[1]) * CARS.tau

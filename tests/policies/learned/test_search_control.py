@@ -14,8 +14,8 @@ from training_runs import assert_goes_on
 import baselines
 import rendezvous_env as rv
 from baselines.learned import feature_kernels
+from baselines.learned.base_controller import make_controller
 from baselines.learned.feature_kernels import CONTEXT_COLUMNS
-from baselines.learned.guide import make_guide
 from baselines.learned.learned_policy import LearnedPolicy
 from baselines.learned.policy_settings import COMMANDS, PolicySettings
 from baselines.learned.training_environment import FeatureVectorEnv, shares_of
@@ -80,7 +80,7 @@ def weights(settings, layout, scale=0.5):
 def test_memory_matches_sums_over_history():
     """Averages and places, recomputed from all rows and commands in a fixed frame."""
     rng, tau = np.random.default_rng(0), TEAM.tau
-    teams, history, pose, visited = make_guide(SETTINGS, TEAM, 1), [], (0j, 0.0), [0j]
+    teams, history, pose, visited = make_controller(SETTINGS, TEAM, 1), [], (0j, 0.0), [0j]
     for _ in range(60):
         bearing = rng.uniform(-0.5, 0.5) if rng.random() < 0.3 else None
         speed, rate = rng.uniform(-1.0, 1.0, 2)
@@ -120,7 +120,7 @@ def test_memory_matches_sums_over_history():
 
 @pytest.mark.kernels
 def test_features_are_of_rows_now_and_of_memory():
-    teams = make_guide(SETTINGS, TEAM, 1)
+    teams = make_controller(SETTINGS, TEAM, 1)
     assert teams.perception.layout.context_columns == COLUMNS > CONTEXT_COLUMNS
     for name in ("NEIGHBOUR_COLUMNS", "OBSTACLE_COLUMNS"):
         assert getattr(memory_kernels, name) == getattr(feature_kernels, name)
@@ -140,7 +140,7 @@ def test_features_are_of_rows_now_and_of_memory():
 
 @pytest.mark.kernels
 def test_obstacles_are_remembered_for_a_merge_radius():
-    teams = make_guide(SETTINGS, AMONG, 1)
+    teams = make_controller(SETTINGS, AMONG, 1)
     shown = features(teams, observed(AMONG, edges=(0.4, -0.2))).obstacles
     np.testing.assert_allclose(shown[0], [*unit(0.4, -0.2).ravel(), 0.0, 1.0], atol=1e-7)
     step(teams, observed(AMONG, edges=(0.4, -0.2)), 1.0, 1.0)
@@ -154,7 +154,7 @@ def test_obstacles_are_remembered_for_a_merge_radius():
 
 
 def test_forgetting_clears_one_environment():
-    teams = make_guide(SETTINGS, TEAM, 2)
+    teams = make_controller(SETTINGS, TEAM, 2)
     seen = np.tile(observed(TEAM, 0.3), (2, 1, 1, 1))
     teams.choose(np.full((2, 2), 5))
     teams.apply(seen)
@@ -177,11 +177,11 @@ def test_forgetting_clears_one_environment():
 )
 def test_invalid_action_is_named(method, given, message):
     with pytest.raises(ValueError, match=message):
-        getattr(make_guide(SETTINGS, TEAM, 1), method)(np.array(given))
+        getattr(make_controller(SETTINGS, TEAM, 1), method)(np.array(given))
 
 
 def test_commands_are_in_units_of_limits():
-    teams = make_guide(SETTINGS, TEAM, 1)
+    teams = make_controller(SETTINGS, TEAM, 1)
     for number, (speed, rate) in enumerate(COMMANDS):
         teams.choose(np.array([[number, 0]]))
         np.testing.assert_allclose(teams.apply(observed(TEAM))[0, 0], [0.1 * speed, 0.5 * rate])
@@ -215,7 +215,7 @@ def test_ticks_at_another_rate_move_memory_by_elapsed_time():
     np.testing.assert_allclose(robot.act(unit(2.0)), [0.0, 0.5], atol=1e-6)
     for dt in (0.02, 0.05, 0.1, 0.1):
         robot.act(np.zeros((0, 2)), dt=dt)
-    memory = robot.policy._guided.perception.get_state()
+    memory = robot.policy._controller.perception.get_state()
     # the last command is booked for a whole step
     np.testing.assert_allclose(memory["last"][0, 0], unit(2.0 - 0.5 * 0.37)[0], atol=1e-6)
     assert memory["unseen"][0, 0] == pytest.approx(0.37 / UNIT)
@@ -227,7 +227,7 @@ def test_other_robots_are_refused():
         LearnedPolicy(points, weights(SETTINGS, SETTINGS.layout_of(points)), SETTINGS)
     with pytest.raises(UserError, match=r"a network without a filter \(guarantee 'none'\)"):
         ppo.check(ppo.Config(scenario="clutter-4", guarantee="none"))
-    with pytest.raises(UserError, match=r"--clearance is 0\.5; no filter reads it"):
+    with pytest.raises(UserError, match=r"--clearance is 0\.5; no filter uses it"):
         ppo.check(ppo.Config(**SMALL, clearance=0.5))
 
 

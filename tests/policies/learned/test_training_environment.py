@@ -9,11 +9,11 @@ from gymnasium.vector import AutoresetMode
 from test_nonholonomic_features import CARS, POINTS, UAV
 
 import rendezvous_env as rv
+from baselines.learned.base_controller import BaseController
 from baselines.learned.features import Features
-from baselines.learned.guide import GuidedTeams
 from baselines.learned.policy_settings import ALL_ROUND, ANGLES, CHOICES
 from baselines.learned.training_environment import FeatureVectorEnv
-from baselines.obstacle_rules.obstacle_avoidance import tangent_joined_heading
+from baselines.obstacle_rules.obstacle_avoidance import tangent_merged_heading
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.vector import HeadingVectorWrapper, training_env
 from train.learn.checkpoint import flatten, unflatten
@@ -32,7 +32,7 @@ def aim(observations, choices, carried):
     turned = np.stack((c * x - s * y, s * x + c * y), axis=-1)
     limits = {"clearance": HEADING.clearance, "persistence": HEADING.persistence}
     obstacles = layout.split(observations).obstacles
-    return tangent_joined_heading(turned, obstacles, carried=carried, **limits)
+    return tangent_merged_heading(turned, obstacles, carried=carried, **limits)
 
 
 def teams(settings=HEADING, mode=AutoresetMode.SAME_STEP, scenario=SCENARIO, **options):
@@ -115,11 +115,11 @@ def test_tank_robots_move_at_speed_of_law_1():
     """Without obstacles, also away from f; the velocity is along R(φ) f."""
     free = SCENARIO.replace(obstacles=())
     settings = replace(TANK, budget=1e6)
-    guided, simulator = GuidedTeams(settings, free, 4), rv.Simulator(free, 4)
+    controller, simulator = BaseController(settings, free, 4), rv.Simulator(free, 4)
     observations = simulator.reset(0)
     choices = np.arange(16).reshape(4, 4) % len(ALL_ROUND)
-    guided.choose(choices)
-    v = guided.apply(observations).astype(np.float64)
+    controller.choose(choices)
+    v = controller.apply(observations).astype(np.float64)
     f = free.observation_layout.net_bearing(observations)
     turned = np.arctan2(f[..., 0] * v[..., 1] - f[..., 1] * v[..., 0], np.sum(f * v, axis=-1))
     off = np.abs(np.angle(np.exp(1j * (turned - ALL_ROUND[choices]))))

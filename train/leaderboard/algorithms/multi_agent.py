@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..playing import Player
+from ..environments import can_learn, filter_arguments, make_training_envs, without_base_controller
+from ..playing import EvaluationSetup
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, filter_arguments, make_training_envs, without_base_controller
 
 _PPO = {"lmbda": 0.95, "entropy_coef": 0.003}
 LEARNERS: dict[str, dict[str, Any]] = {"Ippo": _PPO, "Mappo": _PPO, "Masac": {}, "Qmix": {}}
@@ -41,7 +41,7 @@ _EXPERIMENT: dict[str, Any] = {
 
 def learn(
     field: Scenario, seed: int, budget: Budget, *, name: str, safety: str
-) -> tuple[Callable[[int], Player], dict[str, Any]]:
+) -> tuple[Callable[[int], EvaluationSetup], dict[str, Any]]:
     """Train one of ``LEARNERS``, see ``Algorithm.learn``.
 
     ``safety`` is that of ``make_training_envs``; under "none" a first contact has no cost.
@@ -54,14 +54,14 @@ def learn(
     from torchrl.envs.utils import ExplorationType, set_exploration_type
 
     logging.getLogger("torchrl").setLevel(logging.WARNING)
-    torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
+    torch.set_num_threads(1)  # a run is bitwise reproducible, and independent of other cores
     algorithm = getattr(algorithms, f"{name}Config").get_from_yaml()
     vars(algorithm).update(LEARNERS[name])
     network = MlpConfig.get_from_yaml()
     network.num_cells = [64, 64]
     with tempfile.TemporaryDirectory() as folder, redirect_stderr(io.StringIO()):
         config = _experiment(field.n_robots, budget, algorithm.on_policy(), Path(folder))
-        apart = seed * 2**10  # seeds of teams follow on that of their experiment
+        apart = seed * 2**10  # seeds of environments follow that of their experiment
         run = Experiment(task_of(field, safety), algorithm, network, apart, config)
         run.run()
 
@@ -75,7 +75,7 @@ def learn(
     told = asdict(config) | {"save_folder": None, "net_arch": network.num_cells}
     told |= {"algorithm": name, **asdict(algorithm), "num_envs": budget.num_envs}
     how = {"safety": safety, "anew": False, **_price(safety)}
-    return (lambda n: Player(make_training_envs(field, n, **how), choose)), told
+    return (lambda n: EvaluationSetup(make_training_envs(field, n, **how), choose)), told
 
 
 def task_of(field: Scenario, safety: str) -> Any:
@@ -119,8 +119,8 @@ def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) ->
 
 def _algorithm(name: str, safety: Literal["none", "heading"]) -> Algorithm:
     manner = {
-        "none": "on the team's reward alone",
-        "heading": "under certified headings; a first touch costs 1",
+        "none": "with the team reward only",
+        "heading": "under certified headings; a first contact costs 1",
     }
     return Algorithm(
         f"{name.upper()} of BenchMARL {manner[safety]}",

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rendezvous_env.scenario.scenario import Scenario
 
 from ...learn.settings import TRAINING_SEEDS
-from ..playing import Player
+from ..environments import can_learn, make_training_envs
+from ..playing import EvaluationSetup
 from ..registry import Algorithm, Budget
-from ..teams import can_learn, make_training_envs
 
 SETTINGS: dict[str, Any] = {
     "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,
@@ -38,7 +38,7 @@ class Paid(VectorWrapper):
 
 def learn(
     field: Scenario, seed: int, budget: Budget, *, limit: float | None = None, **safety: Any
-) -> tuple[Callable[[int], Player], dict[str, Any]]:
+) -> tuple[Callable[[int], EvaluationSetup], dict[str, Any]]:
     """Train in environments under the filter ``safety``, see ``Algorithm.learn``.
 
     ``limit`` is the maximum mean number of contacts per episode for a Lagrangian learner, whose
@@ -51,13 +51,13 @@ def learn(
 
     from ...learn.rollout_buffer import RobotPPO
 
-    torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
+    torch.set_num_threads(1)  # a run is bitwise reproducible, and independent of other cores
     paid = Paid(make_training_envs(field, budget.num_envs, anew=True, **safety))
     robots = RobotVecEnv(paid)
     robots.seed(TRAINING_SEEDS + 2**32 * seed)
     rule = multiplier_of(paid, robots, limit) if limit is not None else None
     model = RobotPPO("MlpPolicy", robots, seed=seed, device="cpu", **SETTINGS)
-    model.set_logger(Logger(None, []))  # else it makes a folder for temporary files
+    model.set_logger(Logger(None, []))  # otherwise it creates a temporary folder
     model.learn(budget.decisions, callback=rule)
     told = {key: value for key, value in safety.items() if not callable(value)}
     settings = {**SETTINGS, **told, "limit": limit, "num_envs": budget.num_envs}
@@ -70,7 +70,9 @@ def learn(
         chosen: NDArray[np.int64] = actions.reshape(seen.shape[:2])
         return chosen
 
-    return (lambda n: Player(make_training_envs(field, n, anew=False, **safety), choose)), settings
+    return (
+        lambda n: EvaluationSetup(make_training_envs(field, n, anew=False, **safety), choose)
+    ), settings
 
 
 def multiplier_of(paid: Paid, robots: Any, limit: float) -> Any:
@@ -114,24 +116,24 @@ def algorithm(
 
 
 ALGORITHMS = {
-    "ppo-none": algorithm("PPO on the team's reward alone", "none", "none", contact_penalty=0.0),
-    "ppo-penalty": algorithm("PPO; a robot's first touch costs it 1", "penalty", "none"),
+    "ppo-none": algorithm("PPO with the team reward only", "none", "none", contact_penalty=0.0),
+    "ppo-penalty": algorithm("PPO; a robot's first contact costs 1", "penalty", "none"),
     "ppo-lagrangian": algorithm(  # Ray, Achiam & Amodei 2019, with one critic
-        "PPO-Lagrangian: touches cost λ, which grows while an episode has more than 0.1 of them",
+        "PPO-Lagrangian: contacts cost λ, which grows while an episode has more than 0.1 of them",
         "Lagrangian",
         "none",
         contact_penalty=0.0,
         limit=0.1,
     ),
     "ppo-rule": algorithm(
-        "PPO whose choices the joined rule leads round obstacles; a first touch costs 1",
+        "PPO over the merged-intervals rule, which avoids obstacles; a first contact costs 1",
         "rule",
         "rule",
     ),
     "ppo-heading": algorithm(
-        "PPO under certified headings; a first touch costs 1", "heading", "heading"
+        "PPO under certified headings; a first contact costs 1", "heading", "heading"
     ),
     "ppo-tank": algorithm(
-        "PPO under energy tanks of the shipped budget; a first touch costs 1", "tank", "tank"
+        "PPO under energy tanks of the shipped budget; a first contact costs 1", "tank", "tank"
     ),
 }

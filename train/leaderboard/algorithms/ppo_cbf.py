@@ -44,7 +44,7 @@ def _keep_out(wanted: Any, towards: Any, rooms: Any, kept: Any) -> None:
 class Barrier(VectorWrapper):
     """Vector wrapper that applies the filter to velocities."""
 
-    part_of_world = True  # nothing is promised of V
+    part_of_world = True  # no guarantee about V
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
@@ -74,7 +74,7 @@ class Barrier(VectorWrapper):
 
 
 ALGORITHM = algorithm(
-    "PPO behind a control-barrier-function filter; a first touch costs 1",
+    "PPO with a control-barrier-function filter; a first contact costs 1",
     "CBF",
     "none",
     given="distances of discs",

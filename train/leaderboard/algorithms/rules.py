@@ -10,15 +10,15 @@ from rendezvous_env import baselines
 from rendezvous_env.scenario.scenario import Scenario
 
 from ... import policies
-from ..playing import Player
+from ..environments import COSTS
+from ..playing import EvaluationSetup
 from ..registry import Algorithm, Budget
-from ..teams import COSTS
 
 
-def _player(name: str, field: Scenario, num_envs: int) -> Player:
+def _player(name: str, field: Scenario, num_envs: int) -> EvaluationSetup:
     scenario = field.replace(costs=COSTS)
-    teams = rv.make_vec(scenario, num_envs, AutoresetMode.DISABLED, num_threads=1)
-    return Player(teams, baselines.make(name, scenario))
+    env = rv.make_vec(scenario, num_envs, AutoresetMode.DISABLED, num_threads=1)
+    return EvaluationSetup(env, baselines.make(name, scenario))
 
 
 def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:
@@ -28,7 +28,7 @@ def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -
         return partial(_player, name, field), {"policy": name}
 
     def fits(field: Scenario) -> bool:
-        # rules that steer unicycles go by no gate, so V may rise
+        # rules for unicycles have no gate, so V may increase
         is_kept = guarantee != "heading" or not field.model.nonholonomic
         return is_kept and name in baselines.names(field)
 
@@ -38,6 +38,6 @@ def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -
 
 ALGORITHMS = {
     "bearing-only": _rule("bearing-only", "law (1)", "heading"),
-    "tangent-joined-tuned": _rule("tangent-joined-tuned", "rule", "heading"),
-    "tank-joined": _rule("tank-joined", "rule", "tank"),
+    "tangent-merged-tuned": _rule("tangent-merged-tuned", "rule", "heading"),
+    "tank-merged": _rule("tank-merged", "rule", "tank"),
 }

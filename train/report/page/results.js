@@ -16,7 +16,7 @@ const POLICY = { title: "policy", value: "policy", word: true, link: replayLink,
 const RESULT_COLUMNS = [
   SCENARIO,
   POLICY,
-  { title: "starts", value: "episodes", show: (cell) => cell, best: 1 },
+  { title: "initial conditions", value: "episodes", show: (cell) => cell, best: 1 },
   { title: "met %", value: "success", range: ["success_low", "success_high"], show: percent,
     best: 1 },
   CLEAN,

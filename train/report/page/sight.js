@@ -3,7 +3,7 @@
 /** Rows present at a frame: {kind, index, point, vector}; absent ones, all zero, are left out. */
 function rowsOf(rec, frame, robot) {
   const [, robots, rows, dim] = rec.shape.observations;
-  const { neighbour_slots: slots, silhouette_points: points, obstacle_slots: obstacles } =
+  const { neighbour_slots: slots, rows_per_obstacle: points, obstacle_slots: obstacles } =
     DATA.scenarios[rec.scenario];
   const found = [];
   for (let row = 0; row < rows; row++) {
