@@ -141,14 +141,21 @@ def _mean_velocities(actions, observations, gravity_row, gate, out):
         store(scaled(m, actions[i, 0]), out[i])
 
 
+@inner_kernel
+def turned_back(vector, rates, pitch, gate):
+    """Triple in the body frame after a step with these rates, rad/s, of one before it.
+
+    u' = R(Δα, β + Δβ)ᵀ R(0, β) u,   in the plane R(−ωτ) u
+    """
+    yaw, rise = rates[0] * gate.duration, rates[1] * gate.duration
+    before, after = body_frame_3d(0.0, pitch), body_frame_3d(yaw, pitch + rise)
+    return to_local(after, to_global(before, vector))
+
+
 @kernel
 def _turn_back(vectors_and_actions, observations, gravity_row, gate, out):
-    """Vectors after a step, u' = R(Δα, β + Δβ)ᵀ R(0, β) u,   in the plane R(−ωτ) u."""
     d = out.shape[1]
     for i in range(out.shape[0]):
         pitch = pitch_of(observations[i], gravity_row, gate)
         vector, action = load(vectors_and_actions[i, :d]), vectors_and_actions[i, d:]
-        yaw_rate, pitch_rate = rates_of(action, gate)
-        yaw, rise = yaw_rate * gate.duration, pitch_rate * gate.duration
-        before, after = body_frame_3d(0.0, pitch), body_frame_3d(yaw, pitch + rise)
-        store(to_local(after, to_global(before, vector)), out[i])
+        store(turned_back(vector, rates_of(action, gate), pitch, gate), out[i])

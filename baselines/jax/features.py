@@ -16,9 +16,9 @@ from ..learned import feature_kernels as kernels
 from ..learned.feature_kernels import _turn, _turn_rate
 from ..learned.features import FeatureLayout
 from .arrays import Array, divided, length_of, parts_of, where
+from .filters import account_of
 from .merged_intervals import MergedInterval, direction_of, merged_interval
 from .policy import Rows
-from .tank import account_of
 
 Pair = tuple[Array, ...]
 _angle, _rate = array_form(_turn), array_form(_turn_rate)
@@ -48,7 +48,7 @@ class FeatureMemory(NamedTuple):
 
 
 class RecentMotion(NamedTuple):
-    """Motion of a robot before a decision."""
+    """RecentMotion of a robot before a decision."""
 
     headings: Array  # (..., n, 2), carried; zero where undefined
     velocities: Array | None  # (..., n, 2), m/s; None is that of law (4)

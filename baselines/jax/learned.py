@@ -1,17 +1,21 @@
 """Learned policies as pure functions: network, features and base controller over arrays."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rendezvous_env.jax.arrays.array_form import array_form
+from rendezvous_env.jax.filters.heading import Heading
+from rendezvous_env.jax.filters.tank import Tank
 from rendezvous_env.physics.vectors import rotated
 from rendezvous_env.safety.heading import certify_one, scale_of_step, turn_limit
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.safety.turning import Robot, robot_of
 
+from ..learned.base_controller import BaseController
 from ..learned.features import FeatureLayout
 from ..learned.learned_policy import LearnedPolicy
 from ..learned.numpy_actor import NumpyActor, RecurrentUnit
@@ -19,20 +23,20 @@ from ..learned.policy_settings import PolicySettings
 from ..learned.shipped import NAMES
 from ..policy import AT_PATH
 from ..steering import WITHIN
+from . import steady_frames
 from .arrays import Array, divided, parts_of, where
 from .features import FeatureMemory, RecentMotion, features, no_memory
+from .filters import TeamFilter, account_of, spend
 from .merged_intervals import direction_of, merged_headings
 from .policy import (
     JaxPolicy,
     Memory,
     Rows,
-    check_in_plane,
     degree_of,
     register,
     sum_of,
     within_limits,
 )
-from .tank import account_of, spend
 
 Layer = tuple[Array, Array]
 
@@ -107,7 +111,10 @@ def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
 
 
 class _Kept(NamedTuple):
-    """Memory of a learned policy: arrays (...), (..., n) and (..., n, …)."""
+    """Memory of a learned policy: arrays (...), (..., n) and (..., n, …).
+
+    Headings and velocities of robots that turn, or in 3-D, are in a frame or plane.
+    """
 
     steps: Array  # (...), since the last decision
     choices: Array  # (..., n)
@@ -116,6 +123,8 @@ class _Kept(NamedTuple):
     levels: Array  # (..., n), m²/s
     features: FeatureMemory
     hidden: Array  # (..., n, units)
+    bodies: Any  # memory of frames or planes, else ()
+    filter: Any  # state of the filter there, else ()
 
 
 @dataclass(frozen=True)
@@ -141,6 +150,8 @@ class Learned(JaxPolicy):
             zero + self.settings.budget_of(self.scenario),
             no_memory(robots, self.scenario.observation_layout.obstacle_slots),
             jnp.zeros((*robots, self.settings.units), jnp.float32),
+            () if self._way is None else steady_frames.no_memory(self._way, robots),
+            () if self._way is None else self._filter.begin(batch),
         )
 
     @property
@@ -155,6 +166,21 @@ class Learned(JaxPolicy):
     def _robot(self) -> Robot:
         return robot_of(self.scenario, self.settings.min_alignment)
 
+    @cached_property
+    def _controller(self) -> BaseController:
+        """Constants of the base controller."""
+        return BaseController(self.settings, self.scenario, 1)
+
+    @property
+    def _way(self) -> Any:
+        """How robots that turn, or in 3-D, are steered; None for others."""
+        return None if self._controller.bodies is None else self._controller.bodies._way
+
+    @cached_property
+    def _filter(self) -> TeamFilter:
+        form: Any = Tank if self._has_tank else Heading
+        return TeamFilter(form(self._controller.steering, jnp.float32), self.scenario)
+
     def act(self, observations: Any, memory: Memory, time: Any = 0.0) -> tuple[Array, Memory]:
         """As ``JaxPolicy.act``."""
         seen, kept = self.rows_of(observations), memory._replace(steps=memory.steps + 1)
@@ -162,6 +188,8 @@ class Learned(JaxPolicy):
         kept = jax.lax.cond(
             jnp.any(due), lambda: where(due, self._decided(seen, kept), kept), lambda: kept
         )
+        if self._way is not None:
+            return self._followed_in_frames(observations, seen, kept)
         actions, kept = self._followed(seen, kept)
         return within_limits(actions, self.scenario), kept
 
@@ -170,7 +198,11 @@ class Learned(JaxPolicy):
         layout, angles = self.settings.layout_of(self.scenario), self._angles
         levels = velocities = None
         if self._has_tank:
-            levels, velocities = kept.levels / unit_of_tanks(self.scenario), kept.velocities
+            stored = kept.levels if self._way is None else kept.filter.levels
+            levels, velocities = stored / unit_of_tanks(self.scenario), kept.velocities
+        if self._way is not None:
+            view, bodies = steady_frames.look(self._way, seen, kept.bodies)
+            seen, kept, velocities = view.rows, kept._replace(bodies=bodies), kept.velocities
         motion = RecentMotion(kept.headings, velocities, levels, angles[kept.choices])
         elapsed = self._period * float(self.scenario.tau)
         shown, remembered = features(
@@ -189,14 +221,33 @@ class Learned(JaxPolicy):
     def _angles(self) -> Array:
         return jnp.asarray(self.settings.angles, jnp.result_type(float))
 
+    def _aim(self, seen: Rows, kept: _Kept) -> tuple[Array, Array]:
+        """Directions of the rule for f rotated by the choices, pairs."""
+        aside = array_form(rotated)(parts_of(sum_of(seen)), self._angles[kept.choices])[:2]
+        rule = self.settings.clearance, parts_of(kept.headings), self.settings.persistence
+        return merged_headings(direction_of(aside), seen.obstacles, *rule)
+
+    def _followed_in_frames(
+        self, observations: Any, seen: Rows, kept: _Kept
+    ) -> tuple[Array, _Kept]:
+        """Actions of the base controller in a frame or plane, and memory."""
+        way = self._way
+        view, bodies = steady_frames.look(way, seen, kept.bodies)
+        headings = jnp.stack(self._aim(view.rows, kept), axis=-1)
+        choices = steady_frames.follow(way, seen, view, bodies, headings)
+        if not self._has_tank and way.robot.turns:
+            choices = choices[..., 1:]
+        actions, state = self._filter.apply(observations, choices, kept.filter)
+        velocities, bodies = steady_frames.turn(way, view, bodies, actions)
+        return within_limits(actions, self.scenario), kept._replace(
+            headings=headings, velocities=velocities, bodies=bodies, filter=state
+        )
+
     def _followed(self, seen: Rows, kept: _Kept) -> tuple[Array, _Kept]:
         """Actions of the base controller, and memory."""
         settings, robot = self.settings, self._robot
         net, degree, carried = sum_of(seen), degree_of(seen), parts_of(kept.headings)
-        f = parts_of(net)
-        aside = array_form(rotated)(f, self._angles[kept.choices])[:2]
-        rule = settings.clearance, carried, settings.persistence
-        raw = merged_headings(direction_of(aside), seen.obstacles, *rule)
+        f, raw = parts_of(net), self._aim(seen, kept)
         if self._has_tank:
             account = account_of(f, degree, robot)
             law_speed = array_form(scale_of_step)(degree, robot.merge_radius, robot.gate.duration)
@@ -221,7 +272,6 @@ class Learned(JaxPolicy):
 
 def form_of(policy: LearnedPolicy) -> JaxPolicy:
     """JAX form of a learned policy with a NumPy network."""
-    check_in_plane("learned", policy.scenario)
     if not isinstance(policy._chooser, NumpyActor):
         raise NotImplementedError(
             "networks from ONNX files are not covered by JAX; use baselines.make, which runs them"

@@ -16,9 +16,12 @@ from ..obstacle_rules.merged_intervals_2d import (
     _ROUNDING,
     TWO_PI,
     _between,
+    comes_near,
     counter_clockwise,
+    is_clear,
+    least_square_cosine,
 )
-from .arrays import Array, angle_of
+from .arrays import Array, angle_of, parts_of
 
 _cross, _dot, _rotated = map(array_form, (cross_in_plane, dot, rotated))
 
@@ -114,7 +117,16 @@ def merged_headings(
     return x, y
 
 
-def direction_of(vector: Any) -> tuple[Array, Array]:
-    """Unit pair along a pair; the x axis for zero."""
-    length, (x, y) = array_form(split)(vector)
-    return jnp.where(length > 0.0, x, 1.0), y
+def direction_of(vector: Any) -> tuple[Array, ...]:
+    """Unit pair or triple along one; the x axis for zero."""
+    length, (x, *others) = array_form(split)(vector)
+    return jnp.where(length > 0.0, x, 1.0), *others
+
+
+@replaces(is_clear)
+def _is_clear(towards: Any, silhouettes: Array, clearance: float) -> Array:
+    u = tuple(jnp.asarray(part)[..., None] for part in towards[:2])
+    last, first = (parts_of(silhouettes[..., s, :]) for s in (0, 1))
+    near = array_form(comes_near)(u, last, first, least_square_cosine(clearance))
+    seen = jnp.any(silhouettes[..., 0, :] != 0.0, axis=-1)
+    return ~jnp.any(near & seen, axis=-1) & (clearance < 0.25 * TWO_PI)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from rendezvous_env.checks import short_repr
 from rendezvous_env.deprecation import warn_renamed
-from rendezvous_env.jax.arrays.array_form import Array, array_form
+from rendezvous_env.jax.arrays.array_form import Array, array_form, total
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.scenario import Scenario
@@ -77,12 +77,12 @@ class JaxPolicy(ABC):
 
 def sum_of(seen: Rows) -> Array:
     """Net bearing fᵢ, (..., d), m/s."""
-    return jnp.sum(seen.neighbours, axis=-2)
+    return jnp.asarray(total(seen.neighbours, axis=-2))
 
 
 def degree_of(seen: Rows) -> Array:
     """Degree Dᵢ = Σⱼ aᵢⱼ, (...), m/s."""
-    return jnp.sum(length_of(seen.neighbours), axis=-1)
+    return jnp.asarray(total(length_of(seen.neighbours), axis=-1))
 
 
 def scale_of(degree: Array, scenario: Scenario) -> Array:
@@ -137,12 +137,3 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
             f"{', '.join(_FORMS)}"
         )
     return _FORMS[str(kind)](policy)
-
-
-def check_in_plane(name: str, scenario: Scenario) -> None:
-    """Reject scenarios but those of single integrators in the plane."""
-    if not policies.in_the_plane(scenario):
-        raise NotImplementedError(
-            f"policy {name!r} for {scenario.robot_model} robots in {scenario.dim}-D is not covered "
-            "by JAX; use baselines.make, which supports it"
-        )

@@ -83,13 +83,18 @@ def widened_rays(silhouettes, clearance, out):
         if length < TOUCHED:
             middle = middle_of(silhouettes[m])
         for s in range(8):
-            ray = split(load(silhouettes[m, s]))[1]
-            angle = math.acos(min(max(dot(ray, middle), -1.0), 1.0))
-            angle = max(angle, min(angle + clearance, _WIDEST))
-            outward = split(without(ray, middle))[1]
-            store(combine(math.cos(angle), middle, math.sin(angle), outward), out[count, s])
+            store(_widened(split(load(silhouettes[m, s]))[1], middle, clearance), out[count, s])
         count += 1
     return count
+
+
+@inner_kernel
+def _widened(ray, middle, clearance):
+    """Ray turned away from the middle of its cone by an angle, rad; unit triples."""
+    angle = math.acos(min(max(dot(ray, middle), -1.0), 1.0))
+    angle = max(angle, min(angle + clearance, _WIDEST))
+    outward = split(without(ray, middle))[1]
+    return combine(math.cos(angle), middle, math.sin(angle), outward)
 
 
 @inner_kernel

@@ -43,7 +43,7 @@ from .sensing import clearances, lyapunov, sense, sense_obstacles
 
 Info = dict[str, Array]
 
-_ROUNDING = 1.0 + 1e-6  # of float32
+_ROUNDING = 1.0 + 1e-4  # far above that of positions in float32
 _LONGEST = 1e15  # action whose square float32 can represent, beyond every limit
 
 
@@ -134,11 +134,14 @@ class RendezvousJaxEnv:
         self._starts = InitialConditionSampler(scenario, self._fields, self._dtype)
         exact = imperfections_of(scenario.sensing) is None
         self._sensor = None if exact else SensorModel(scenario)
-        radius, reach = scenario.merge_radius, self._model.speed_limit * scenario.tau
-        self._reach = ((radius + 2.0 * reach) * _ROUNDING) ** 2
         one_way = scenario.sensing_graph.directed
         self._merge = Merging(
-            n, radius, one_way, differentiable, self._fields, scenario.merges_through
+            n,
+            scenario.merge_radius,
+            one_way,
+            differentiable,
+            self._fields,
+            scenario.merges_through,
         )
         mode = CONTACT_MODES.index(scenario.obstacle_contact)
         self._contact: ObstacleContact | None = None
@@ -381,7 +384,7 @@ class RendezvousJaxEnv:
         ways, length = jnp.stack(way, axis=1), jnp.where(acting, length, 0.0)
         contact, met = jnp.zeros(acting.shape, bool), cast(Any, FREE)
         if self._contact is not None:
-            near = acting & (state.clearance < self._contact.reach)
+            near = acting & (state.clearance < length * _ROUNDING + self._contact.margin)
             curve = inputs, frame, kept
             ways, contact = self._contact(state.obstacles, near, state.positions, ways, curve)
             way = tuple(ways[:, k] for k in range(ways.shape[1]))
@@ -390,7 +393,8 @@ class RendezvousJaxEnv:
         moving = MergeArrays(
             state.positions, ways, length, state.weights, state.merged_into, state.obstacles
         )
-        near = (state.status == RUNNING) & (state.closest < self._reach)
+        reach = (self.scenario.merge_radius + 2.0 * jnp.max(length, axis=0)) * _ROUNDING
+        near = (state.status == RUNNING) & (state.closest < reach * reach)
         free = moving._replace(positions=moving.positions + moving.displacements, obstacles=())
         moved = for_envs(near, self._merge, moving, free, self.differentiable)
         if kept:

@@ -5,12 +5,13 @@ from typing import Any
 import jax.numpy as jnp
 
 from ..scenario.observation_layout import ObservationLayout
-from .arrays.array_form import Array
+from .arrays.array_form import Array, total
 
 
 def net_bearing(observations: Any, layout: ObservationLayout) -> Array:
     """fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, of observations (..., rows, d) with this layout."""
-    return jnp.sum(jnp.asarray(observations)[..., layout.neighbours, :], axis=-2)
+    rows = jnp.asarray(observations)[..., layout.neighbours, :]
+    return total(rows, axis=-2)
 
 
 def bearing_only_law(net_bearing: Any) -> Array:

@@ -25,6 +25,7 @@ from . import random_streams
 from .selection import HELPERS, divided, is_static, rewritten
 
 Array = jax.Array
+_SHORT = 32
 _SELECTING: dict[Any, Callable[..., Any]] = {}
 
 
@@ -65,12 +66,19 @@ def angle_of(y: Any, x: Any) -> Any:
     return jnp.where(none, 0.0, jnp.arctan2(jnp.where(none, 0.0, y), jnp.where(none, 1.0, x)))
 
 
+def _arc_cosine(x: Any) -> Any:
+    """Arc cosine, rad, with a derivative of 0 at ±1."""
+    end = jnp.abs(x) >= 1.0
+    return jnp.where(end, jnp.where(x > 0.0, 0.0, jnp.pi), jnp.arccos(jnp.where(end, 0.0, x)))
+
+
 _NAMES = {"sin": "sin", "cos": "cos", "asinh": "arcsinh", "hypot": "hypot"}
 _NAMES |= {"copysign": "copysign", "floor": "floor", "ceil": "ceil"}
 _MATH = _Namespace(
     math,
     sqrt=_of(math.sqrt, square_root),
     atan2=_of(math.atan2, angle_of),
+    acos=_of(math.acos, _arc_cosine),
     **{name: _of(getattr(math, name), getattr(jnp, of)) for name, of in _NAMES.items()},
 )
 _NUMPY = _Namespace(jnp, float64=as_number, sqrt=square_root, arctan2=angle_of)
@@ -167,6 +175,15 @@ def _uniform(key: Any, counter: Any) -> Any:
     if isinstance(key, random_streams.Numbers):
         return key.values[counter]
     return random_streams.uniform(key, counter, jnp.result_type(float))
+
+
+def total(values: Any, axis: int) -> Any:
+    """Sum over an axis; over a short one written out, since XLA fuses no reductions on a CPU."""
+    length = values.shape[axis]
+    if not 0 < length <= _SHORT:
+        return jnp.sum(values, axis=axis)
+    parts = (jax.lax.index_in_dim(values, k, axis, keepdims=False) for k in range(length))
+    return reduce(jnp.add, parts)
 
 
 def select(condition: Any, a: Any, b: Any) -> Any:

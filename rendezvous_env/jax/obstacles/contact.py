@@ -26,7 +26,6 @@ from ..arrays.some_envs import for_envs
 from .fields import Fields
 from .shapes import Shapes, World
 
-_ROUNDING = 1.0 + 1e-6  # of float32
 _dot = array_form(dot)
 
 
@@ -356,9 +355,8 @@ class ObstacleContact:
         self._contact = Contact(fields.shapes, mode, every)
         self.outcome = STOPPED if mode == STOP else SLID
         """Contact of robots that meet an obstacle, for ``Motion.update``."""
-        margin = 3.0 * fields.shapes.tolerances.depth  # more than a skin
-        self.reach = model.speed_limit * model.duration * _ROUNDING + margin
-        """Clearance below which contact is possible in a step, m."""
+        self.margin = 3.0 * fields.shapes.tolerances.depth
+        """More than a skin, m: contact is possible on paths longer than the clearance less this."""
 
     def __call__(
         self, obstacles: Any, near: Array, positions: Array, ways: Array, curve: Any
