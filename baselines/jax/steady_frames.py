@@ -33,7 +33,7 @@ from .policy import Rows, degree_of, sum_of
 _dot, _rotated, _split = map(array_form, (dot, rotated, split))
 
 
-class View(NamedTuple):
+class SteadyObservation(NamedTuple):
     """Observations in a frame or plane, and what actions depend on."""
 
     rows: Rows
@@ -41,7 +41,7 @@ class View(NamedTuple):
     plane: Any  # f/‖f‖ and the unit vector across it in 3-D, triples in the body frame
 
 
-class Frames(NamedTuple):
+class SteadyAngles(NamedTuple):
     """Memory of unicycles: their initial body frames (``OdometryFrame``)."""
 
     angles: Array  # by which they have turned, rad
@@ -58,16 +58,16 @@ class Planes(NamedTuple):
     pitches: Array  # rad
 
 
-def no_memory(way: _Way, robots: tuple[int, ...]) -> Frames | Planes:
+def no_memory(way: _Way, robots: tuple[int, ...]) -> SteadyAngles | Planes:
     """Memory of robots (..., n) before their first observation."""
     zero = jnp.zeros(robots, jnp.result_type(float))
     if way.robot.gate.planar:
-        return Frames(zero)
+        return SteadyAngles(zero)
     vectors = jnp.zeros((*robots, 3), zero.dtype)
     return Planes(vectors, vectors, zero, zero.astype(bool), zero, zero)
 
 
-def look(way: _Way, seen: Rows, kept: Any) -> tuple[View, Any]:
+def look(way: _Way, seen: Rows, kept: Any) -> tuple[SteadyObservation, Any]:
     """Observations in the frames or planes, rounded to float32, and memory."""
     if isinstance(kept, Planes):
         return _look_in_planes(way, seen, kept)
@@ -78,7 +78,7 @@ def look(way: _Way, seen: Rows, kept: Any) -> tuple[View, Any]:
         return _rounded(_rotated(parts_of(rows), angle)[:2])
 
     rows = seen._replace(neighbours=turned(seen.neighbours), obstacles=turned(seen.obstacles))
-    return View(rows, jnp.zeros_like(angles), ()), kept
+    return SteadyObservation(rows, jnp.zeros_like(angles), ()), kept
 
 
 def _rounded(vector: Any) -> Array:
@@ -87,7 +87,7 @@ def _rounded(vector: Any) -> Array:
     return stacked.astype(jnp.float32).astype(stacked.dtype)
 
 
-def _look_in_planes(way: _Way, seen: Rows, kept: Planes) -> tuple[View, Planes]:
+def _look_in_planes(way: _Way, seen: Rows, kept: Planes) -> tuple[SteadyObservation, Planes]:
     pitch = steering.pitch_of(seen, way.robot.gate) if way.robot.turns else kept.pitches
     frame = array_form(body_frame_3d)(kept.yaws, pitch)
     was, before = (
@@ -110,7 +110,7 @@ def _look_in_planes(way: _Way, seen: Rows, kept: Planes) -> tuple[View, Planes]:
     rows = _in_plane(parts_of(seen.neighbours), (u, aside), angle)
     edges = _rotated(_split(parts_of(cut))[1], angle[..., None, None])[:2]
     shown = seen._replace(neighbours=_rounded(rows), obstacles=_rounded(edges))
-    return View(shown, pitch, (u, aside)), after
+    return SteadyObservation(shown, pitch, (u, aside)), after
 
 
 def _or_ahead(vector: Any) -> Any:
@@ -135,7 +135,7 @@ def _in_plane(vectors: Any, plane: Any, angle: Array) -> Any:
     return _rotated(projected, angle.reshape(*angle.shape, *more))[:2]
 
 
-def follow(way: _Way, seen: Rows, view: View, kept: Any, headings: Array) -> Array:
+def follow(way: _Way, seen: Rows, view: SteadyObservation, kept: Any, headings: Array) -> Array:
     """Choices for a filter along headings (..., n, 2), with the speed of law (1).
 
     They are velocities, speeds and turn rates, or without a tank turn rates, as fractions of
@@ -144,7 +144,7 @@ def follow(way: _Way, seen: Rows, view: View, kept: Any, headings: Array) -> Arr
     robot, gate = way.robot, way.robot.gate
     scale = array_form(scale_of_step)(degree_of(seen), robot.merge_radius, gate.duration)
     law_speed = array_form(norm)(parts_of(sum_of(seen))) * scale
-    if isinstance(kept, Frames):
+    if isinstance(kept, SteadyAngles):
         speed = jnp.minimum(law_speed, robot.speed_limit)
         wanted = _rotated(parts_of(headings * speed[..., None]), -kept.angles)
         forward, (rate, _) = steering.inputs_towards(wanted, view.pitch, gate, way.aligned)
@@ -164,10 +164,10 @@ def follow(way: _Way, seen: Rows, view: View, kept: Any, headings: Array) -> Arr
     return jnp.stack([jnp.where(clear, forward, 0.0), *shares], axis=-1)
 
 
-def turn(way: _Way, view: View, kept: Any, actions: Array) -> tuple[Array, Any]:
+def turn(way: _Way, view: SteadyObservation, kept: Any, actions: Array) -> tuple[Array, Any]:
     """Mean velocities (..., n, 2) in the frames or planes over a step of actions, and memory."""
     robot, gate = way.robot, way.robot.gate
-    if isinstance(kept, Frames):
+    if isinstance(kept, SteadyAngles):
         given = parts_of(actions.astype(kept.angles.dtype))
         speed, rate = (
             array_form(clip)(part, limit)
@@ -175,7 +175,7 @@ def turn(way: _Way, view: View, kept: Any, actions: Array) -> tuple[Array, Any]:
         )
         moved = array_form(arc_2d)(speed, kept.angles, rate, gate.duration)
         mean = jnp.stack(moved, axis=-1) / gate.duration
-        return mean, Frames(kept.angles + rate * gate.duration)
+        return mean, SteadyAngles(kept.angles + rate * gate.duration)
     velocity: Any = parts_of(actions.astype(kept.angles.dtype))
     if robot.turns:
         speed = array_form(clip)(velocity[0], robot.speed_limit)

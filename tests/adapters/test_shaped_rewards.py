@@ -218,7 +218,7 @@ def test_last_observations_are_changed_like_the_others_or_refused(make, outside)
                 return np.array([info["terminal_observation"] for info in found])
         raise AssertionError("none was cut off")
 
-    with pytest.raises(TypeError, match=r"under Observed, which changes .*final_obs"):
+    with pytest.raises(TypeError, match=r"wrapped in Observed, which changes .*final_obs"):
         ends(Observed(make(), last=False))
     np.testing.assert_array_equal(ends(Observed(make(), last=True)), 20.0 * ends(make()))
 

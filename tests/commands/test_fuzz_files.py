@@ -266,7 +266,7 @@ def no_work(monkeypatch):
     from train.learn import trainer
     from train.verify import falsification, verify
 
-    nothing = compare.Found([], [], [], [], [])
+    nothing = compare.ComparisonResult([], [], [], [], [])
     monkeypatch.setattr(compare, "_play", lambda *given: (nothing, 0.0))
     monkeypatch.setattr(compare, "description", lambda *given: defaultdict(str))
     for name in ("write", "_draw", "_show", "write_summary"):

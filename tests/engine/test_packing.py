@@ -183,7 +183,7 @@ class TestScenario:
         simulator = rv.Simulator(scenario, num_envs=2)
         places = np.array([[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]] * 2)
         places[1, 2] = 1.0, 0.04
-        message = r"positions: robot_1 and robot_2 stand 0\.04 m apart; it must be at least 0\.1 m"
+        message = r"positions: robot_1 and robot_2 are 0\.04 m apart; it must be at least 0\.1 m"
         with pytest.raises(ValueError, match=message):
             simulator.reset(0, {"positions": places})
         assert not simulator.begun

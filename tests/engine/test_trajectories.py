@@ -32,7 +32,7 @@ def test_trajectories_match_version_01(case, steps):
     name, policy = case.split("|")
     scenario = rv.scenarios.get(name)
     scenario = scenario.replace(time_limit=steps * scenario.tau)
-    law = baselines.make(policy, scenario)
+    law = baselines.make(policy.replace("joined", "merged"), scenario)
     found = rv.rollout(scenario, law, 7, num_envs=2, record=()).positions
     kept = np.minimum(np.arange(0, steps + 1, EVERY), len(found) - 1)  # who has ended rests
     np.testing.assert_allclose(found[kept], expected, rtol=0, atol=1e-9)
