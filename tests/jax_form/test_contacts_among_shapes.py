@@ -132,7 +132,7 @@ def test_pairs_behind_obstacles_do_not_merge(rj):
     starts, ways = rng.uniform(-2.2, 2.2, (2, 150, n, 2))
     ways *= 0.3
     merge = jax.jit(merging.Merging(n, radius, False, False, fields, through=False))
-    moving = merging.Moving(
+    moving = merging.MergeArrays(
         jnp.moveaxis(jnp.asarray(starts), 0, -1),
         jnp.moveaxis(jnp.asarray(ways), 0, -1),
         jnp.ones((n, 150)),
