@@ -3,7 +3,7 @@
 Each robot has the model of one *member*, and all have the same layout of actions and memory:
 
     action    as many components as the widest member has; each robot uses its first ones
-    memory    the angles of the member with most, then what the others keep, such as a velocity
+    memory    as many angles as a member has at most, then other quantities, such as a velocity
 
 The frame of a robot without angles, in a team in which others have some, is given by the angles: a
 constant rotation, in 3-D without roll.
@@ -237,7 +237,7 @@ def _frame_as(member, inputs, kept, given):
 
 @kernel(inline="code")
 def _frame_at(frame, angles):
-    """Frame of a robot without angles of its own, by those of the team; as it is without any."""
+    """Frame of a robot without own angles, from the angles of the team; unchanged without any."""
     if len(angles) == 0:
         return frame
     if len(angles) == 1:
@@ -385,7 +385,7 @@ describe(_Member, Motion(propose=_propose_member, update=_update_member, frame=_
 
 
 def _kept_besides(model: RobotModel, dim: int) -> int:
-    """Numbers that a robot model keeps besides its angles."""
+    """Size of the memory of a robot model without its angles."""
     return model.memory_size(dim) - model.n_angles
 
 

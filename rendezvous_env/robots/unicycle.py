@@ -57,7 +57,7 @@ def arc_2d(speed, yaw, yaw_rate, duration):
 
 @kernel(inline="code")
 def arc_along(heading, speed, yaw_rate, duration):
-    """``arc_2d`` from a pair (cos θ, sin θ), as the frame of a robot has it."""
+    """``arc_2d`` from (cos θ, sin θ), two entries of the frame of a robot."""
     distance = speed * duration
     mean_cos, mean_sin = mean_direction(heading, yaw_rate * duration)
     return distance * mean_cos, distance * mean_sin
