@@ -191,7 +191,9 @@ def many_shapes(num_envs: int, slots: int | None, size: Size) -> list[Case]:
         chosen = {"obstacle_slots": slots, "obstacle_overflow": "nearest"}
         rows = f"{slots} nearest"
     builds = {
-        f"{count:,} shapes, {rows}": partial(simulator_of, _among_boxes(count, **chosen), own)
+        f"{count:,} shapes, {rows}": partial(
+            simulator_of, _among_boxes(count, **chosen), own, drifts=False
+        )
         for count in (20, 2000)
     }
     return in_turns("many-shapes", 4, num_envs, builds)
@@ -221,12 +223,16 @@ def _among_boxes(count: int, **fields: Any) -> rv.Scenario:
     )
 
 
-def tape_of(space: Any, *batch: int) -> Iterator[Any]:
-    """Endless iterator over prepared random actions, (*batch, *shape)."""
+def tape_of(space: Any, *batch: int, drifts: bool = True) -> Iterator[Any]:
+    """Endless iterator over prepared random actions, (*batch, *shape); without drift their sum over
+    a period is zero, so that no robot is driven into a corner where it meets others.
+    """
     random, shape = np.random.default_rng(0), (8, *batch, *space.shape)
     if isinstance(space, MultiDiscrete):
         return itertools.cycle(random.integers(space.nvec.min(), size=shape))
-    return itertools.cycle(random.uniform(-1.0, 1.0, shape).astype(np.float32))
+    actions = random.uniform(-1.0, 1.0, shape)
+    actions -= 0.0 if drifts else actions.mean(axis=0)
+    return itertools.cycle(actions.astype(np.float32))
 
 
 def stepping(env: Any) -> Running:
@@ -253,11 +259,12 @@ def _in_dicts(make: Callable[[], Any], low: float = -1.0) -> Running:
     return Running(lambda: env.step(next(tape)), lambda: list(env.agents) == names)
 
 
-def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
-    """Batched simulator with random actions."""
+def simulator_of(scenario: rv.Scenario, size: Size, drifts: bool = True) -> Running:
+    """Batched simulator with random actions, see ``tape_of``."""
     simulator = rv.Simulator(scenario, size.num_envs, num_threads=size.num_threads)
     simulator.reset(0)
-    tape = tape_of(rv.make_vec(scenario, 1).single_action_space, size.num_envs)
+    space = rv.make_vec(scenario, 1).single_action_space
+    tape = tape_of(space, size.num_envs, drifts=drifts)
 
     def step() -> Any:
         outcome = simulator.step(next(tape))
