@@ -55,7 +55,7 @@ def filter_arguments(field: Scenario, safety: str) -> dict[str, Any]:
 class WithoutBaseController(FeatureVectorEnv):
     """Environments without the base controller: robots move in the chosen direction."""
 
-    _pilot = None
+    _controller = None
 
     def _act(self) -> NDArray[np.float32]:
         seen, base = self._observed.copy(), self._base
