@@ -48,7 +48,7 @@ class FeatureMemory(NamedTuple):
 
 
 class RecentMotion(NamedTuple):
-    """RecentMotion of a robot before a decision."""
+    """Motion of a robot before a decision."""
 
     headings: Array  # (..., n, 2), carried; zero where undefined
     velocities: Array | None  # (..., n, 2), m/s; None is that of law (4)

@@ -44,14 +44,15 @@ MAX_MEMBERS = 3
 _OWN_COLUMNS = 5  # of the table of constants, ahead of those of a robot's member
 
 
-class _Kept(NamedTuple):
-    """Entries of the memory that a model keeps: its angles, then what follows those of the team.
+class _Places(NamedTuple):
+    """Entries that a model uses of an action or memory of the team: the first ones, then others.
 
-    Only lengths of these tuples count, so that compiled loops know the entries.
+    The others follow the team's angles. Only lengths of these tuples count, so that compiled loops
+    know the entries.
     """
 
-    entries: tuple[int, ...]  # one for each entry that the model keeps
-    own: tuple[int, ...]  # one for each of its angles
+    entries: tuple[int, ...]  # one for each entry that the model uses
+    own: tuple[int, ...]  # one for each of the first ones: of a memory, the angles of the model
     angles: tuple[int, ...]  # one for each angle of the team
 
 
@@ -64,9 +65,9 @@ class MixedTeam(NamedTuple):
     in_global_frame: float  # 1 if frames without angles are the global one, else 0
     is_steady: float  # 1 if no step changes its memory and frame, else 0
     members: tuple[Any, ...]  # constants of each model
-    inputs: tuple[tuple[int, ...], ...]  # of each model, its components of an action
-    kept: tuple[_Kept, ...]  # of each model, its entries of the memory
-    angles: _Kept  # entries of the memory that are angles
+    inputs: tuple[_Places, ...]  # of each model, its components of an action
+    kept: tuple[_Places, ...]  # of each model, its entries of the memory
+    angles: _Places  # entries of the memory that are angles
     blank: tuple[float, ...]  # a memory of zeros
     unsensed: tuple[float, ...]  # proprioception of models without any: zeros, or nothing
 
@@ -77,52 +78,40 @@ def _turns(model):
 
 
 @kernel(inline="code")
-def _leading(values, names):
-    """As many entries of a tuple, from the first on, as another one has, at most three."""
-    if len(names) == 0:
-        return ()
-    if len(names) == 1:
-        return (values[0],)
-    if len(names) == 2:
-        return values[0], values[1]
-    return values[0], values[1], values[2]
+def _place(places, m):
+    """Index of entry m that a model uses."""
+    return m if m < len(places.own) else m + len(places.angles) - len(places.own)
 
 
 @kernel(inline="code")
-def _place(kept, m):
-    """Index in the memory of entry m that a model keeps."""
-    return m if m < len(kept.own) else m + len(kept.angles) - len(kept.own)
+def _part(values, places):
+    """Entries that a model uses, at most five numbers."""
+    return _chosen(values, places.entries, places)
 
 
 @kernel(inline="code")
-def _part(memory, kept):
-    """What a model keeps of the memory, at most five numbers."""
-    return _chosen(memory, kept.entries, kept)
-
-
-@kernel(inline="code")
-def _chosen(values, entries, kept):
+def _chosen(values, entries, places):
     if len(entries) == 0:
         return ()
-    first = values[_place(kept, 0)]
+    first = values[_place(places, 0)]
     if len(entries) == 1:
         return (first,)
-    second = values[_place(kept, 1)]
+    second = values[_place(places, 1)]
     if len(entries) == 2:
         return first, second
-    third = values[_place(kept, 2)]
+    third = values[_place(places, 2)]
     if len(entries) == 3:
         return first, second, third
-    fourth = values[_place(kept, 3)]
+    fourth = values[_place(places, 3)]
     if len(entries) == 4:
         return first, second, third, fourth
-    return first, second, third, fourth, values[_place(kept, 4)]
+    return first, second, third, fourth, values[_place(places, 4)]
 
 
 @kernel(inline="code")
-def _entry(memory, kept, values, k):
+def _entry(memory, places, values, k):
     for m in range(len(values)):
-        if _place(kept, m) == k:
+        if _place(places, m) == k:
             return values[m]
     return memory[k]
 
@@ -198,32 +187,32 @@ def _by_member(equation: Any) -> Any:
 @kernel(inline="code")
 def _propose_as(member, inputs, kept, given):
     _, action, frame, memory = given
-    return propose(member, _leading(action, inputs), frame, _part(memory, kept))
+    return propose(member, _part(action, inputs), frame, _part(memory, kept))
 
 
 @kernel(inline="code")
 def _displacement_as(member, inputs, kept, given):
     _, action, frame, memory, time = given
-    return displacement_at(member, _leading(action, inputs), frame, _part(memory, kept), time)
+    return displacement_at(member, _part(action, inputs), frame, _part(memory, kept), time)
 
 
 @kernel(inline="code")
 def _chord_error_bound_as(member, inputs, kept, given):
     _, action, memory = given
-    return chord_error_bound(member, _leading(action, inputs), _part(memory, kept))
+    return chord_error_bound(member, _part(action, inputs), _part(memory, kept))
 
 
 @kernel(inline="code")
 def _period_as(member, inputs, kept, given):
     _, action, memory = given
-    return period(member, _leading(action, inputs), _part(memory, kept))
+    return period(member, _part(action, inputs), _part(memory, kept))
 
 
 @kernel(inline="code")
 def _update_as(member, inputs, kept, given):
     _, action, frame, memory, displacement, contact = given
     own = _part(memory, kept)
-    after = update_memory(member, _leading(action, inputs), frame, own, displacement, contact)
+    after = update_memory(member, _part(action, inputs), frame, own, displacement, contact)
     return _replaced(memory, kept, after)
 
 
@@ -322,8 +311,8 @@ class _Member(NamedTuple):
 
     team: MixedTeam
     model: Any  # constants of the robot's model
-    inputs: tuple[int, ...]
-    kept: _Kept
+    inputs: _Places
+    kept: _Places
 
 
 @kernel(inline="code")
@@ -433,7 +422,8 @@ def _constants(scenario: Any) -> MixedTeam:
     n_angles, size = scenario.model.n_angles, scenario.model.memory_size(dim)
     angles = (0,) * n_angles
     kept = [
-        _Kept((0,) * member.memory_size(dim), (0,) * member.n_angles, angles) for member in members
+        _Places((0,) * member.memory_size(dim), (0,) * member.n_angles, angles)
+        for member in members
     ]
     widths = [len(member.bounds(scenario.of_robot(_first(scenario, member)))) for member in members]
     senses = any(member.senses for member in members)
@@ -444,12 +434,16 @@ def _constants(scenario: Any) -> MixedTeam:
         in_global_frame=float(scenario.local_frames == "global"),
         is_steady=0.0,
         members=tuple(constants_of(scenario.of_robot(_first(scenario, m))) for m in members),
-        inputs=tuple(tuple(range(width)) for width in widths),
+        inputs=tuple(_first_places(width) for width in widths),
         kept=tuple(kept),
-        angles=_Kept(angles, angles, angles),
+        angles=_first_places(n_angles),
         blank=(0.0,) * size,
         unsensed=(0.0,) * (dim if senses else 0),
     )
+
+
+def _first_places(count: int) -> _Places:
+    return _Places(*((0,) * count,) * 3)
 
 
 def _first(scenario: Any, member: RobotModel) -> int:

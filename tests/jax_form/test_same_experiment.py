@@ -28,7 +28,7 @@ SEAMS = [
     rv.Disc((0.0, 1.5), 0.5),
     rv.Capsule(((-1.0, -2.0), (1.0, -2.5)), 0.4),
 ]
-"""Shapes of all kinds, two of which touch."""
+"""Shapes of all kinds; two of them touch."""
 SPACE = [
     rv.Capsule(((-1.0, -1.0, 0.3), (1.0, 1.5, -0.2)), 0.6),
     rv.Sphere((1.5, -1.0, 0.5), 0.8),

@@ -14,7 +14,7 @@ from ...physics.vectors import norm, scaled, subtract, to_local
 from ...sensors.chance import cosine_and_sine, gaussian, is_small, turned_by_angle, unit_number
 from ...sensors.effects import as_float32, distance_of, share_in_view, turned_about
 from ..memory import lane_count, load_fields, read_row, write_row
-from .apply_noise import DRAWS, draw_turns, halve, highest_word, keep, sensing_keys, turn_row
+from .apply_noise import DRAWS, draw_turns, halve, highest_word, keep, sensing_keys, turn_side
 from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, is_due, parities, part_keys
 
 _DETECTS, _TURNS, _REPLACES = range(3)
@@ -197,8 +197,8 @@ def _turn(width, axes, effects, i, side, kept, keys, words, row):
             _turn_by(width, axes, level, True, kept, keys, words[2, 0], row)
         else:
             _turn_by(width, axes, level, False, kept, keys, words[2, 0], row)
-    elif level > 0.0:
-        turn_row(width, axes, level, words[1, side], words[1, 2 + side], row)
+    else:
+        turn_side(width, axes, side, level, words[1], row)
 
 
 @inner_kernel(inline="code")

@@ -76,7 +76,7 @@ def apply_noise(
                         _hide(width, axes, entries, errors, robots[block, i], robots[block, j], row)
                         if errors.dropout > 0.0:
                             _miss(width, axes, errors.dropout, words[_MISSED, side], row)
-                        _turn_side(width, axes, side, errors, words, row)
+                        _turn_by_errors(width, axes, side, errors, words, row)
 
 
 @inner_kernel
@@ -123,7 +123,7 @@ def halve(width, keys, counter, upper, lower):
 
 
 @inner_kernel
-def turn_row(width, axes, deviation, words, others, row):
+def _turn_row(width, axes, deviation, words, others, row):
     """Rotate a row (L·d,) of every lane by an angle of this standard deviation, rad."""
     deviation = np.float32(deviation)
     if is_small(deviation):
@@ -141,12 +141,17 @@ def _turn_by(width, axes, deviation, small, words, others, row):
 
 
 @inner_kernel(inline="code")
-def _turn_side(width, axes, side, errors, words, row):
+def _turn_by_errors(width, axes, side, errors, words, row):
     """Rotate a row of one side of a couple by its episode bias and its step noise."""
-    if errors.bias > 0.0:
-        turn_row(width, axes, errors.bias, words[_BIAS, side], words[_BIAS, 2 + side], row)
-    if errors.noise > 0.0:
-        turn_row(width, axes, errors.noise, words[_NOISE, side], words[_NOISE, 2 + side], row)
+    turn_side(width, axes, side, errors.bias, words[_BIAS], row)
+    turn_side(width, axes, side, errors.noise, words[_NOISE], row)
+
+
+@inner_kernel(inline="code")
+def turn_side(width, axes, side, deviation, words, row):
+    """Rotate a row of one side of a couple, whose words are (4, L), by a deviation, rad."""
+    if deviation > 0.0:
+        _turn_row(width, axes, deviation, words[side], words[2 + side], row)
 
 
 @inner_kernel(inline="code")
@@ -256,7 +261,7 @@ def apply_noise_to_silhouettes(
                     if side % 2 == 0:
                         couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
                         _draw(width, axes, couple, errors, keys, words)
-                    _turn_side(width, axes, side % 2, errors, words, seen[side])
+                    _turn_by_errors(width, axes, side % 2, errors, words, seen[side])
                 for s in range(points if errors.sectors > 0 else 0):
                     for lane in range(count):
                         point = exactly(read_row(seen[s], lane, axes))

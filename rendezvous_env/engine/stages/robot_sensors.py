@@ -1,6 +1,6 @@
 """Stages of range, field of view and bias that differ between robots, ahead of ``apply_noise``."""
 
-from ...compilation import inner_kernel, kernel
+from ...compilation import kernel
 from ...graphs.edges import edge_weight, list_pairs, pair_index
 from ..memory import lane_count
 from .apply_noise import (
@@ -10,7 +10,7 @@ from .apply_noise import (
     see_in_view,
     see_within,
     sensing_keys,
-    turn_row,
+    turn_side,
 )
 
 
@@ -107,7 +107,7 @@ def turn_by_biases(
                 slot = counts[i] if in_order else j - (j > i)
                 counts[i] += 1
                 if slot < slots or not in_order:
-                    _turn_side(width, axes, side, biases[i], words, rows[block - first, i, slot])
+                    turn_side(width, axes, side, biases[i], words, rows[block - first, i, slot])
 
 
 @kernel
@@ -141,11 +141,4 @@ def turn_silhouettes_by_biases(
                     couple = n * (n - 1) // 2 + (i * slots * points + number) // 2
                     draw_turns(width, axes, keys[EPISODE_KEYS], couple * DRAWS, words)
                 row = rows[block - first, i, own + number]
-                _turn_side(width, axes, number % 2, biases[i], words, row)
-
-
-@inner_kernel(inline="code")
-def _turn_side(width, axes, side, bias, words, row):
-    """Rotate a row of one side of a couple."""
-    if bias > 0.0:
-        turn_row(width, axes, bias, words[side], words[2 + side], row)
+                turn_side(width, axes, number % 2, biases[i], words, row)
