@@ -158,6 +158,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
             view, callback = self._view_buffer()
             result = base.drive(controller, self._observed, self.decision_period, callback)
             self._observed = result.output.observations
+            self.filter.recall_sums(self._observed)
             rewards, robot_rewards, contact = result[1:]
             costs: Info = {}
         else:
@@ -261,6 +262,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
     def _view(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """Writable observations of the policy, (B, n, ...), updated for a mask (None: all)."""
         view = self.filter.observe(self._observed)
+        self.filter.recall_sums(self._observed)
         own = view.copy() if np.may_share_memory(view, self._observed) else view
         return maybe_flatten(own, self._base.flatten)
 

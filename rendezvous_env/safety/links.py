@@ -214,7 +214,8 @@ class LinkKeeping(SafetyFilter):
     ) -> Calls:
         """As ``SafetyFilter.apply_calls``."""
         arrays = observations, self._held, actions, self.alignment, self.lyapunov_rate
-        return over_robots(_keep_links, part, self._constants, *arrays)
+        given = _keep_links, part, self._constants
+        return over_robots(*given, *arrays, plans=self._plans, late=(0, 2))
 
 
 register_filter("links", LinkKeeping)

@@ -5,7 +5,6 @@ one branch-free loop, and copies results out. All lanes are computed, also unuse
 result for a robot does not depend on the number of robots.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 
 from ..compilation import compiled, inner_kernel
 from ..engine.memory import read, read_row, write
-from ..engine.threads import Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
@@ -53,13 +51,9 @@ def room_for(rows: int, dim: int) -> tuple[Numbers, NDArray[np.float32]]:
     return np.zeros((_ROWS, LANES)), np.zeros((rows, LANES * dim), np.float32)
 
 
-def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, int], Any]:
-    """Range of robots of a slice, b·n + i for robot i of environment b, and flat views of arrays.
-
-    Arrays (B, n, ...), any unit, become (B·n, ...) without a copy.
-    """
-    n = arrays[0].shape[1]
-    return (part[0] * n, part[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
+def by_robot(array: NDArray[Any]) -> NDArray[Any]:
+    """View (B·n, ...) of an array (B, n, ...), any unit: robot i of environment b is b·n + i."""
+    return array.reshape(-1, *array.shape[2:])
 
 
 @inner_kernel
@@ -149,6 +143,27 @@ def weigh_rows(axes, observations, neighbour_slots, room, f, degree):
             row = exactly(read_row(rows[k], lane, axes))
             write(combine(1.0, read(f, lane, axes), 1.0, row), f, lane)
             degree[lane] += norm(row)
+
+
+@inner_kernel(inline="code")
+def keep_sums(lanes, first, stop, sums):
+    """Copy f, and D if there is a third row, of planar robots from lanes to ``sums``, (2, N)."""
+    tell(lanes.f[0], first, stop, sums[0])
+    tell(lanes.f[1], first, stop, sums[1])
+    if len(sums) == 3:
+        tell(lanes.degree, first, stop, sums[2])
+
+
+@inner_kernel(inline="code")
+def recall_sums(sums, first, stop, lanes):
+    """Inverse of ``keep_sums``."""
+    x, y = sums[0][first:stop], sums[1][first:stop]
+    for lane in range(len(x)):
+        lanes.f[0, lane], lanes.f[1, lane] = x[lane], y[lane]
+    if len(sums) == 3:
+        degree = sums[2][first:stop]
+        for lane in range(len(degree)):
+            lanes.degree[lane] = degree[lane]
 
 
 @inner_kernel

@@ -5,9 +5,10 @@ Filters use the robots' own observations only: no positions, no global frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -42,25 +43,71 @@ def over_teams(
     threads.share(calls_of, num_envs, max(1, most))
 
 
+NO_SUMS = np.zeros((3, 0))
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
 
 
+class _Plan(NamedTuple):
+    """Parts of a call of ``over_robots`` that are the same in every step."""
+
+    constants: Any
+    arrays: list[NDArray[Any] | None]  # None for those that differ
+    flat: list[NDArray[Any] | None]
+    begin: tuple[Any, ...]  # axes and range of robots
+    work: Any
+    run: Callable[..., Any]
+
+
+Plans = dict[Any, _Plan]
+"""Plans by kernel, slice and type of observations."""
+
+
 def over_robots(
-    kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any], work: Any = None
+    kernel: Any,
+    part: Slice,
+    constants: Any,
+    *arrays: NDArray[Any],
+    work: Any = None,
+    sums: NDArray[np.float64] = NO_SUMS,
+    plans: Plans | None = None,
+    late: Sequence[int] = (0,),
 ) -> Calls:
     """Call of a kernel for the robots of a slice.
 
     Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, flat views of
     ``arrays`` (B, n, ...) of any unit, observations first, and working memory, by default for
-    ``lanes_of`` and rows.
+    ``lanes_of`` and rows, and ``sums`` of rows. ``plans`` keep what is equal in all steps: all but
+    the arrays with indices ``late``.
     """
-    rows, d = arrays[0].shape[2:]
-    robots, flat = by_robot(part, arrays)
-    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d) if work is None else work
+    key = kernel, part, arrays[0].dtype, sums.shape[1] > 0
+    plan = None if plans is None else plans.get(key)
+    if plan is None or plan.constants is not constants:
+        work = (*room_for(*arrays[0].shape[2:]), sums) if work is None else work
+        plan = _plan(kernel, part, constants, arrays, work, late)
+        if plans is not None:
+            plans[key] = plan
+    pairs = zip(arrays, plan.arrays, plan.flat, strict=True)
+    flat = tuple([view if one is kept else by_robot(one) for one, kept, view in pairs])
+    return [partial(plan.run, *plan.begin, constants, flat, plan.work)]
+
+
+def _plan(
+    kernel: Any,
+    part: Slice,
+    constants: Any,
+    arrays: Sequence[NDArray[Any]],
+    work: Any,
+    late: Sequence[int],
+) -> _Plan:
+    n, _, d = arrays[0].shape[1:]
+    begin = (0, 1, 2)[:d], (part[0] * n, part[1] * n)
+    flat = [by_robot(one) for one in arrays]
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
-        run = _entry_points[kind] = entry_point(kernel, arguments)
-    return [partial(run, *arguments)]
+        run = _entry_points[kind] = entry_point(kernel, (*begin, constants, tuple(flat), work))
+    kept = [None if k in late else one for k, one in enumerate(arrays)]
+    views = [None if k in late else one for k, one in enumerate(flat)]
+    return _Plan(constants, kept, views, begin, work, run)
 
 
 @kernel
@@ -203,6 +250,8 @@ class SafetyFilter(StatefulMixin):
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
         self._acted = (num_envs, n, scenario.action_size)
+        self._plans: Plans = {}
+        self._make_sums(weighs=None)
         self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
         self._held = np.zeros((num_envs, n, action_size))
         self.alignment = np.full((num_envs, n), np.nan)
@@ -235,6 +284,7 @@ class SafetyFilter(StatefulMixin):
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
+        self._summed = self._recalled = None
         self._frames[which] = np.eye(self.scenario.dim)
         self.alignment[which], self.lyapunov_rate[which] = np.nan, 0.0
 
@@ -260,13 +310,36 @@ class SafetyFilter(StatefulMixin):
     def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
         """As ``observe``, into memory of ``new_view``, for a slice."""
         if self.along_net_bearing:
-            arrays = observations, self._frames, shown
+            arrays: tuple[NDArray[Any], ...] = observations, self._frames, shown
+            look = look_along_net_bearing
             if self.mixes_models:
-                mixed = _look_of_some, part, self._robot, *arrays, self._turning
-                return over_robots(*mixed)
-            return over_robots(look_along_net_bearing, part, self._robot, *arrays)
+                look, arrays = _look_of_some, (*arrays, self._turning)
+            self._summed = observations if observations.dtype == np.float32 else None
+            sums = NO_SUMS if self._summed is None else self._sums
+            kept = {"plans": self._plans, "sums": sums}
+            return over_robots(look, part, self._robot, *arrays, late=(0, 2), **kept)
         mine = slice(*part[:2])
         return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
+
+    def _make_sums(self, *, weighs: bool | None) -> None:
+        """Memory of f, and of D if it ``weighs`` rows, between ``observe_calls`` and the next step.
+
+        It is empty if ``apply_calls`` do not use it, None.
+        """
+        self._sums, self._summed, self._recalled = NO_SUMS, None, None
+        if weighs is not None and self.scenario.dim == 2 and self.along_net_bearing:
+            self._sums = np.zeros((3 if weighs else 2, math.prod(self._batch[:2])))
+
+    def recall_sums(self, observations: Float32) -> None:
+        """Let the next ``apply_calls`` use the sums of rows of the last ``observe_calls``.
+
+        The array must not change until then.
+        """
+        self._recalled = observations if observations is self._summed else None
+
+    def _sums_of(self, observations: Float32) -> NDArray[np.float64]:
+        """Sums of the observations' rows, see ``_make_sums``; empty if not known."""
+        return self._sums if observations is self._recalled else NO_SUMS
 
     @cached_property
     def choice_mask(self) -> NDArray[np.bool_]:
@@ -291,9 +364,20 @@ class SafetyFilter(StatefulMixin):
         if given is not raw:  # may be float64
             given = np.ascontiguousarray(floats("actions", raw))
         if self.along_net_bearing and self.chooses_vectors:
-            _hold(given, self._frames, self._held)
+            self._hold(given)
         else:
             self._held[...] = given
+
+    def _hold(self, given: NDArray[Any]) -> None:
+        arguments = given, self._frames, self._held
+        kind = _hold, tuple, given.dtype, given.shape[2]
+        if (run := _entry_points.get(kind)) is None:
+            run = _entry_points[kind] = entry_point(_hold, arguments)
+        run(*arguments)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State without plans, which contain compiled code, and without known sums."""
+        return vars(self) | {"_plans": {}, "_summed": None, "_recalled": None}
 
     def apply(
         self,
@@ -320,6 +404,7 @@ class SafetyFilter(StatefulMixin):
 
     def compute(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions (B, n, a) under the choices ``held``; called by ``apply``, to be overridden."""
+        self._recalled = None  # a caller may have changed the array
         seen = check_observations(observations, self._seen)
         observations = np.ascontiguousarray(seen, np.float32)
         actions = np.zeros(self._acted, dtype=np.float32)
@@ -377,6 +462,11 @@ class SafetyFilter(StatefulMixin):
         """
         own, names = type(self), ("apply", "compute", "observe", "update")
         return all(getattr(own, name) is getattr(SafetyFilter, name) for name in names)
+
+    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
+        """As ``StatefulMixin.set_state``."""
+        super().set_state(state)
+        self._summed = self._recalled = None
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``StatefulMixin.check_state``; frames must be rotations."""
