@@ -130,7 +130,7 @@ class Gains(SafetyFilter):
     ) -> Calls:
         """As ``SafetyFilter.apply_calls``."""
         arrays = observations, self._held, actions, self.gain, self.alignment, self.lyapunov_rate
-        return over_robots(_weigh, part, self._constants, *arrays, plans=self._plans, late=(0, 2))
+        return over_robots(_weigh, part, self._constants, *arrays)
 
 
 register_filter("gains", Gains)

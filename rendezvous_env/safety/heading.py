@@ -456,9 +456,8 @@ class HeadingFilter(SafetyFilter):
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
         memory, told = (self._held, self.carried), (self.alignment, self.lyapunov_rate)
-        arrays = observations, *memory, actions, *told, *mixed
-        kept = {"plans": self._plans, "sums": self._sums_of(observations)}
-        return over_robots(act, part, constants, *arrays, late=(0, 3), **kept)
+        given, sums = (act, part, constants, observations), self._sums_of(observations)
+        return over_robots(*given, *memory, actions, *told, *mixed, sums=sums)
 
 
 register_filter("heading", HeadingFilter)

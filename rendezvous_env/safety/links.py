@@ -214,8 +214,7 @@ class LinkKeeping(SafetyFilter):
     ) -> Calls:
         """As ``SafetyFilter.apply_calls``."""
         arrays = observations, self._held, actions, self.alignment, self.lyapunov_rate
-        given = _keep_links, part, self._constants
-        return over_robots(*given, *arrays, plans=self._plans, late=(0, 2))
+        return over_robots(_keep_links, part, self._constants, *arrays)
 
 
 register_filter("links", LinkKeeping)

@@ -5,6 +5,7 @@ one branch-free loop, and copies results out. All lanes are computed, also unuse
 result for a robot does not depend on the number of robots.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..compilation import compiled, inner_kernel
 from ..engine.memory import read, read_row, write
+from ..engine.threads import Slice
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, exactly, load_pair, norm
 
@@ -51,9 +53,13 @@ def room_for(rows: int, dim: int) -> tuple[Numbers, NDArray[np.float32]]:
     return np.zeros((_ROWS, LANES)), np.zeros((rows, LANES * dim), np.float32)
 
 
-def by_robot(array: NDArray[Any]) -> NDArray[Any]:
-    """View (B·n, ...) of an array (B, n, ...), any unit: robot i of environment b is b·n + i."""
-    return array.reshape(-1, *array.shape[2:])
+def by_robot(part: Slice, arrays: Sequence[NDArray[Any]]) -> tuple[tuple[int, int], Any]:
+    """Range of robots of a slice, b·n + i for robot i of environment b, and flat views of arrays.
+
+    Arrays (B, n, ...), any unit, become (B·n, ...) without a copy.
+    """
+    n = arrays[0].shape[1]
+    return (part[0] * n, part[1] * n), tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])
 
 
 @inner_kernel
@@ -147,7 +153,7 @@ def weigh_rows(axes, observations, neighbour_slots, room, f, degree):
 
 @inner_kernel(inline="code")
 def keep_sums(lanes, first, stop, sums):
-    """Copy f, and D if there is a third row, of planar robots from lanes to ``sums``, (2, N)."""
+    """Copy f, m/s, of planar robots from lanes to ``sums``, (2, N), and D to a third row, if any."""
     tell(lanes.f[0], first, stop, sums[0])
     tell(lanes.f[1], first, stop, sums[1])
     if len(sums) == 3:

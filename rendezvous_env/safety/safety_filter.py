@@ -6,9 +6,9 @@ Filters use the robots' own observations only: no positions, no global frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -44,22 +44,8 @@ def over_teams(
 
 
 NO_SUMS = np.zeros((3, 0))
+"""Sums of rows that are not known."""
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
-
-
-class _Plan(NamedTuple):
-    """Parts of a call of ``over_robots`` that are the same in every step."""
-
-    constants: Any
-    arrays: list[NDArray[Any] | None]  # None for those that differ
-    flat: list[NDArray[Any] | None]
-    begin: tuple[Any, ...]  # axes and range of robots
-    work: Any
-    run: Callable[..., Any]
-
-
-Plans = dict[Any, _Plan]
-"""Plans by kernel, slice and type of observations."""
 
 
 def over_robots(
@@ -67,47 +53,23 @@ def over_robots(
     part: Slice,
     constants: Any,
     *arrays: NDArray[Any],
-    work: Any = None,
     sums: NDArray[np.float64] = NO_SUMS,
-    plans: Plans | None = None,
-    late: Sequence[int] = (0,),
+    work: Any = None,
 ) -> Calls:
     """Call of a kernel for the robots of a slice.
 
     Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, flat views of
     ``arrays`` (B, n, ...) of any unit, observations first, and working memory, by default for
-    ``lanes_of`` and rows, and ``sums`` of rows. ``plans`` keep what is equal in all steps: all but
-    the arrays with indices ``late``.
+    ``lanes_of`` and rows, with ``sums`` of rows.
     """
-    key = kernel, part, arrays[0].dtype, sums.shape[1] > 0
-    plan = None if plans is None else plans.get(key)
-    if plan is None or plan.constants is not constants:
-        work = (*room_for(*arrays[0].shape[2:]), sums) if work is None else work
-        plan = _plan(kernel, part, constants, arrays, work, late)
-        if plans is not None:
-            plans[key] = plan
-    pairs = zip(arrays, plan.arrays, plan.flat, strict=True)
-    flat = tuple([view if one is kept else by_robot(one) for one, kept, view in pairs])
-    return [partial(plan.run, *plan.begin, constants, flat, plan.work)]
-
-
-def _plan(
-    kernel: Any,
-    part: Slice,
-    constants: Any,
-    arrays: Sequence[NDArray[Any]],
-    work: Any,
-    late: Sequence[int],
-) -> _Plan:
-    n, _, d = arrays[0].shape[1:]
-    begin = (0, 1, 2)[:d], (part[0] * n, part[1] * n)
-    flat = [by_robot(one) for one in arrays]
+    rows, d = arrays[0].shape[2:]
+    robots, flat = by_robot(part, arrays)
+    work = (*room_for(rows, d), sums) if work is None else work
+    arguments = (0, 1, 2)[:d], robots, constants, flat, work
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
-        run = _entry_points[kind] = entry_point(kernel, (*begin, constants, tuple(flat), work))
-    kept = [None if k in late else one for k, one in enumerate(arrays)]
-    views = [None if k in late else one for k, one in enumerate(flat)]
-    return _Plan(constants, kept, views, begin, work, run)
+        run = _entry_points[kind] = entry_point(kernel, arguments)
+    return [partial(run, *arguments)]
 
 
 @kernel
@@ -142,6 +104,14 @@ def _look_of_some(axes, robots, robot, arrays, work):
             given = observations, frames, seen
             look_along_net_bearing(axes, (first, stop), robot, given, work)
         first = stop
+
+
+@kernel
+def _look_of_teams(axes, robots, constants, arrays, work):
+    """``look_along_net_bearing`` of the robots of some environments, by number."""
+    robot, n, teams = constants
+    for team in teams:
+        look_along_net_bearing(axes, (team * n, (team + 1) * n), robot, arrays, work)
 
 
 def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
@@ -227,6 +197,9 @@ class SafetyFilter(StatefulMixin):
     reuses_calls = False  # whether calls can be made again in further steps, with the same arrays
     state_key = "filter"  # key of its memory in a wrapper's state
     observes_level = False  # whether ``observe`` adds a row with the robot's stored energy
+    _sums = NO_SUMS  # f_x, f_y, and D if wanted, m/s, of the robots in the last observations
+    _summed: Float32 | None = None  # the array of these observations
+    _recalled: Float32 | None = None  # the same, if ``apply_calls`` may use ``_sums``
 
     def __init__(
         self,
@@ -250,8 +223,6 @@ class SafetyFilter(StatefulMixin):
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
         self._acted = (num_envs, n, scenario.action_size)
-        self._plans: Plans = {}
-        self._make_sums(weighs=None)
         self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
         self._held = np.zeros((num_envs, n, action_size))
         self.alignment = np.full((num_envs, n), np.nan)
@@ -300,34 +271,64 @@ class SafetyFilter(StatefulMixin):
         over_teams(lambda part: self.observe_calls(part, observations, shown), *self._batch)
         return shown
 
+    @property
+    def changes_rows(self) -> bool:
+        """True if the policy's observations differ from those of the environments."""
+        return self.along_net_bearing or self.observes_level
+
     def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
         """Buffer for ``observe_calls``; None if observations are passed unchanged."""
-        if not (self.along_net_bearing or self.observes_level):
+        if not self.changes_rows:
             return None
         num_envs, n, rows, d = self._seen
         return np.empty((num_envs, n, rows + self.observes_level, d), dtype)
 
     def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
         """As ``observe``, into memory of ``new_view``, for a slice."""
-        if self.along_net_bearing:
-            arrays: tuple[NDArray[Any], ...] = observations, self._frames, shown
-            look = look_along_net_bearing
-            if self.mixes_models:
-                look, arrays = _look_of_some, (*arrays, self._turning)
-            self._summed = observations if observations.dtype == np.float32 else None
-            sums = NO_SUMS if self._summed is None else self._sums
-            kept = {"plans": self._plans, "sums": sums}
-            return over_robots(look, part, self._robot, *arrays, late=(0, 2), **kept)
         mine = slice(*part[:2])
-        return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
+        if self.along_net_bearing:
+            calls = self._look_calls(part, observations, shown)
+        else:
+            rows = shown[mine, :, : self._seen[2]]
+            calls = [partial(np.copyto, rows, observations[mine])]
+        return [*calls, *self._level_calls(mine, shown)]
 
-    def _make_sums(self, *, weighs: bool | None) -> None:
-        """Memory of f, and of D if it ``weighs`` rows, between ``observe_calls`` and the next step.
+    def observe_again(
+        self, which: NDArray[np.bool_], observations: Float32, shown: Float32
+    ) -> None:
+        """As ``observe_calls``, where observations have changed: environments of a mask, (B,)."""
+        plain = type(self).observe_calls is SafetyFilter.observe_calls
+        if plain and self.along_net_bearing and not self.mixes_models:
+            teams = np.flatnonzero(which)
+            calls = self._look_calls((0, len(which), 0), observations, shown, teams)
+            calls = [*calls, *self._level_calls(teams, shown)]
+        else:
+            calls = self.observe_calls((0, len(which), 0), observations, shown)
+        for one in calls:
+            one()
 
-        It is empty if ``apply_calls`` do not use it, None.
-        """
-        self._sums, self._summed, self._recalled = NO_SUMS, None, None
-        if weighs is not None and self.scenario.dim == 2 and self.along_net_bearing:
+    def _look_calls(
+        self, part: Slice, observations: Float32, shown: Float32, teams: Any = None
+    ) -> Calls:
+        """Call that updates frames and rotates rows of a slice, or of some environments in it."""
+        arrays = observations, self._frames, shown
+        self._summed = observations if observations.dtype == np.float32 else None
+        sums = NO_SUMS if self._summed is None else self._sums
+        if teams is not None:
+            constants = self._robot, shown.shape[1], teams
+            return over_robots(_look_of_teams, part, constants, *arrays, sums=sums)
+        if self.mixes_models:
+            mixed = _look_of_some, part, self._robot, *arrays, self._turning
+            return over_robots(*mixed, sums=sums)
+        return over_robots(look_along_net_bearing, part, self._robot, *arrays, sums=sums)
+
+    def _level_calls(self, teams: Any, shown: Float32) -> Calls:
+        """Calls that add the row of stored energy, for a slice or indices of environments."""
+        return ()
+
+    def _make_sums(self, *, weighs: bool) -> None:
+        """Allocate ``_sums`` for ``apply_calls`` that sum rows, with D if they ``weigh`` them."""
+        if self.scenario.dim == 2 and self.along_net_bearing:
             self._sums = np.zeros((3 if weighs else 2, math.prod(self._batch[:2])))
 
     def recall_sums(self, observations: Float32) -> None:
@@ -337,9 +338,13 @@ class SafetyFilter(StatefulMixin):
         """
         self._recalled = observations if observations is self._summed else None
 
+    def recalls(self, observations: Float32) -> bool:
+        """True if the sums of these observations' rows are known."""
+        return observations is self._recalled
+
     def _sums_of(self, observations: Float32) -> NDArray[np.float64]:
-        """Sums of the observations' rows, see ``_make_sums``; empty if not known."""
-        return self._sums if observations is self._recalled else NO_SUMS
+        """Sums of the observations' rows; empty if they are not known."""
+        return self._sums if self.recalls(observations) else NO_SUMS
 
     @cached_property
     def choice_mask(self) -> NDArray[np.bool_]:
@@ -364,20 +369,13 @@ class SafetyFilter(StatefulMixin):
         if given is not raw:  # may be float64
             given = np.ascontiguousarray(floats("actions", raw))
         if self.along_net_bearing and self.chooses_vectors:
-            self._hold(given)
+            _hold(given, self._frames, self._held)
         else:
             self._held[...] = given
 
-    def _hold(self, given: NDArray[Any]) -> None:
-        arguments = given, self._frames, self._held
-        kind = _hold, tuple, given.dtype, given.shape[2]
-        if (run := _entry_points.get(kind)) is None:
-            run = _entry_points[kind] = entry_point(_hold, arguments)
-        run(*arguments)
-
     def __getstate__(self) -> dict[str, Any]:
-        """State without plans, which contain compiled code, and without known sums."""
-        return vars(self) | {"_plans": {}, "_summed": None, "_recalled": None}
+        """State for pickle and deepcopy, without known sums."""
+        return vars(self) | {"_summed": None, "_recalled": None}
 
     def apply(
         self,

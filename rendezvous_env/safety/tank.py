@@ -366,15 +366,13 @@ class EnergyTank(SafetyFilter):
         self._levels[which], self._deposits[which] = self.budget, 0.0
         self._linked[which] = self.carried_out[which] = False
 
-    def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
-        """As ``SafetyFilter.observe_calls``; the last row is the stored energy."""
-        calls, mine = super().observe_calls(part, observations, shown), slice(*part[:2])
-        return [*calls, partial(self._show_levels, mine, shown)] if self.observes_level else calls
+    def _level_calls(self, teams: Any, shown: Float32) -> Calls:
+        return [partial(self._show_levels, teams, shown)] if self.observes_level else ()
 
-    def _show_levels(self, mine: slice, shown: Float32) -> None:
-        levels = self._levels[mine] / unit_of_tanks(self.scenario)
-        shown[mine, :, -1] = 0.0
-        shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
+    def _show_levels(self, teams: Any, shown: Float32) -> None:
+        levels = self._levels[teams] / unit_of_tanks(self.scenario)
+        shown[teams, :, -1] = 0.0
+        shown[teams, :, -1, 0] = np.minimum(levels, _LARGEST)
 
     def apply_calls(
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
@@ -386,9 +384,8 @@ class EnergyTank(SafetyFilter):
         memory = self._held, self._levels, actions, self._linked
         if self.mixes_models:
             act, told = _spend_by_model, (*told, self._turning)
-        arrays = observations, *memory, *told
-        kept = {"plans": self._plans, "sums": self._sums_of(observations)}
-        return over_robots(act, part, self._robot, *arrays, late=(0, 3), **kept)
+        given, sums = (act, part, self._robot, observations), self._sums_of(observations)
+        return over_robots(*given, *memory, *told, sums=sums)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """As ``SafetyFilter.update_calls``; a step truncated by a merge counts as commanded."""
