@@ -153,7 +153,7 @@ def weigh_rows(axes, observations, neighbour_slots, room, f, degree):
 
 @inner_kernel(inline="code")
 def keep_sums(lanes, first, stop, sums):
-    """Copy f, m/s, of planar robots from lanes to ``sums``, (2, N), and D to a third row, if any."""
+    """Copy f, m/s, of robots in the plane from lanes to ``sums``, (2, N), and D to a third row."""
     tell(lanes.f[0], first, stop, sums[0])
     tell(lanes.f[1], first, stop, sums[1])
     if len(sums) == 3:
