@@ -434,14 +434,14 @@ def test_a_memory_that_no_episode_has_is_refused(name, place, value, message):
         ({"observer_bias": 0.1}, {"turn_observers"}),
         ({"persistence": 1.0, "dropout": 0.2}, {"remember_detection", "apply_effects"}),
         ({"noise": 0.1, "noise_correlation": 1.0}, {"remember_errors", "apply_effects"}),
-        ({"range": [5.0, *[9.0] * 4]}, {"limit_views"}),
-        ({"bias": [0.2, *[0.1] * 4], "delay": [1, *[0] * 4]}, {"turn_by_biases"}),
+        ({"range": [5.0, *[9.0] * 4], "dropout": [0.2, *[0.1] * 4]}, set()),
+        ({"bias": [0.2, *[0.1] * 4], "delay": [1, *[0] * 4], "noise": [0.2, *[0.1] * 4]}, set()),
         ({"bias": [0.1] * 5, "delay": [1] * 5, "persistence": [0.0] * 5}, set()),
     ],
 )
 def test_only_stages_that_are_used_are_compiled(fields, stages):
     known = {"apply_effects", "hold_observations", "turn_observers", "remember_detection"}
-    known |= {"remember_errors", "turn_silhouettes", "limit_views", "turn_by_biases"}
+    known |= {"remember_errors", "turn_silhouettes", "round_silhouettes"}
     sim = simulator(sensing(PLANE, **fields))
     rest(sim)
     assert {kernel.__name__ for kernel in sim._runner._stages._entries} & known == stages
