@@ -42,6 +42,7 @@ class Imperfections(NamedTuple):
 
     reach: float  # range, m; inf without a limit
     half_field: float  # half the field of view, rad; at most π
+    view_cosine: float  # its cosine
     noise: float  # white, rad
     bias: float
     error: float
@@ -58,6 +59,7 @@ def imperfections_of(sensing: Sensing, n_robots: int) -> NDArray[np.float64] | N
     n, columns = n_robots, dict[str, Any]()
     columns["reach"] = sensing.each("range", n)
     columns["half_field"] = 0.5 * sensing.each("field_of_view", n)
+    columns["view_cosine"] = np.cos(columns["half_field"])
     columns["noise"] = np.where(has_memory(sensing, n), 0.0, sensing.each("noise", n))
     columns["dropout"] = np.where(draws_detection(sensing, n), 0.0, sensing.each("dropout", n))
     columns["obstacles_hide"] = sensing.among("occlusion", n, "obstacles", "both")
@@ -100,8 +102,8 @@ def errors_of(table, i):
     """``Imperfections`` of robot i, from its row of a table."""
     own = table[i]
     return Imperfections(
-        own[0], own[1], own[2], own[3], own[4], own[5], own[6], own[7], own[8]
-    )  # fmt: skip
+        own[0], own[1], own[2], own[3], own[4], own[5], own[6], own[7], own[8], own[9]
+    )
 
 
 @inner_kernel(inline="code")  # passing all its arguments would take longer than its work

@@ -83,7 +83,7 @@ def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypa
     changed = sum(one != other for one, other in zip(before, plain, strict=True))
     assert 5 < changed < 0.25 * 150
     monkeypatch.setattr(random_scenarios, "_VARIED", 0.9)
-    drawn = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    drawn = [trials_of(0, number, number)[0].scenario for number in range(240)]
     models = {name for one in drawn if one.mixes_models for name in one.robot_model}
     assert models == {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
     own = {name for one in drawn for name in one.sensing.per_robot}

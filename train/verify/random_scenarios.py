@@ -284,9 +284,9 @@ def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
         "error": (np.pi / n * random.uniform(0.0, 1.2, n)).tolist(),
         "sectors": [*random.integers(2, 200, n - 1).tolist(), None],
         "occlusion": random.choice(["none", "obstacles", "robots", "both"], n).tolist(),
-        "outlier_kind": random.choice(["uniform", "robot"], n).tolist(),
+        "outlier_kind": random.permutation(np.resize(["uniform", "robot"], n)).tolist(),
     }
-    names = random.permutation([*lists])[: pick(random, 1, 2, 3)]
+    names = random.permutation([*lists])[: pick(random, 1, 3, 5)]
     own = {name: lists[name] for name in names}
     if {"delay", "delay_time"} & {*own}:
         late = random.random(n) < 0.5  # some by steps, the others by seconds

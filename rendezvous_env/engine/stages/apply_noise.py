@@ -172,18 +172,21 @@ def _turn_side(width, axes, side, deviation, words, row):
 def _hide(width, axes, entries, errors, robot, other, row):
     """Drop the row of a robot out of range or outside the field of view of another one."""
     if errors.half_field < math.pi:
-        _see_within(width, axes, entries, errors.reach, errors.half_field, robot, other, row)
+        view = errors.half_field, errors.view_cosine
+        _see_within(width, axes, entries, errors.reach, view, robot, other, row)
     elif errors.reach < np.inf:
         # without an angle it becomes SIMD
-        _see_within(width, axes, entries, errors.reach, math.pi, robot, other, row)
+        _see_within(width, axes, entries, errors.reach, (math.pi, -1.0), robot, other, row)
 
 
 @inner_kernel(inline="code")
-def _see_within(width, axes, entries, reach, half_field, robot, other, row):
-    """``is_seen`` in every lane; angles only if one of them may be at the edge of the view."""
-    lanes = lane_count(width)
-    if half_field < math.pi and _none_at_edge(width, axes, entries, half_field, robot, other):
-        cosine = math.cos(half_field)
+def _see_within(width, axes, entries, reach, view, robot, other, row):
+    """``is_seen`` in every lane; angles only if one of them may be at the edge of the view.
+
+    The view is half its angle, rad, and the cosine.
+    """
+    lanes, (half_field, cosine) = lane_count(width), view
+    if half_field < math.pi and _none_at_edge(width, axes, entries, cosine, robot, other):
         for lane in range(lanes):
             here = load_fields(robot, 0, lane, lanes, axes)
             offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
@@ -199,13 +202,13 @@ def _see_within(width, axes, entries, reach, half_field, robot, other, row):
 
 
 @inner_kernel(inline="code")
-def _none_at_edge(width, axes, entries, half_field, robot, other):
+def _none_at_edge(width, axes, entries, cosine, robot, other):
     """True if the other robot is clear of the edge of the view in all lanes.
 
     Rounding then cannot change whether it is inside: angles differ at least as much as their
     cosines.
     """
-    lanes, cosine, close = lane_count(width), math.cos(half_field), 0.0
+    lanes, close = lane_count(width), 0.0
     for lane in range(lanes):
         here = load_fields(robot, 0, lane, lanes, axes)
         offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
