@@ -48,7 +48,7 @@ class Effects(NamedTuple):
 
 
 def draws_detection(sensing: Sensing, n_robots: int) -> NDArray[np.bool_]:
-    """Whether detection differs from independent dropout, for each robot, (n,)."""
+    """Mask of the robots whose detection differs from independent dropout, (n,)."""
     measured = np.array([bool(table) for table in sensing.tables(n_robots)])
     return measured | (falloffs_of(sensing, n_robots) > 0.0) | (
         sensing.each("persistence", n_robots) > 0.0
@@ -62,7 +62,7 @@ def falloffs_of(sensing: Sensing, n_robots: int) -> NDArray[np.float64]:
 
 
 def has_memory(sensing: Sensing, n_robots: int) -> NDArray[np.bool_]:
-    """Whether noise has a memory, for each robot, (n,)."""
+    """Mask of the robots whose noise has a memory, (n,)."""
     correlated = sensing.each("noise_correlation", n_robots) > 0.0
     return correlated & (sensing.each("noise", n_robots) > 0.0)
 

@@ -318,7 +318,7 @@ class Sensing:
         return np.array(np.broadcast_to(np.array(values, np.float64), (n_robots,)))
 
     def among(self, field: str, n_robots: int, *words: str) -> NDArray[np.bool_]:
-        """Whether a field of words is one of some for each robot, (n,)."""
+        """Mask of the robots whose value of a field is one of these words, (n,)."""
         given = self.list_given(field) or [getattr(self, field)]
         return np.broadcast_to(np.isin(given, words), (n_robots,))
 
