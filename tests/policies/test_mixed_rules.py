@@ -92,3 +92,12 @@ def test_rules_of_mixed_teams_need_obstacles_and_known_models():
 def test_rule_of_one_robot_of_a_mixed_team_is_that_of_its_model():
     robot = baselines.RobotPolicy(PLANE, "tangent-merged-tuned", robot=1)
     assert robot.scenario.robot_model == "unicycle"
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_rule_of_a_mixed_team_has_no_jax_form(name):
+    pytest.importorskip("jax")
+    from rendezvous_env.baselines import jax as jax_policies
+
+    with pytest.raises(NotImplementedError, match=f"policy '{name}' of a mixed team has no JAX"):
+        jax_policies.make(name, PLANE)
