@@ -133,10 +133,25 @@ def test_former_policy_names_warn(monkeypatch, capsys):
     monkeypatch.setattr(importlib.import_module("train.compare.compare"), "run", given.append)
     assert run("compare", "--policies", "tank-joined", "best=tangent-joined-tuned", "learned") == 0
     assert capsys.readouterr().err.splitlines() == [
-        "warning: policy tank-joined is called tank-merged now",
-        "warning: policy tangent-joined-tuned is called tangent-merged-tuned now",
+        "warning: policy 'tank-joined' is called 'tank-merged' now",
+        "warning: policy 'tangent-joined-tuned' is called 'tangent-merged-tuned' now",
     ]
     assert given[0].policies == ("tank-merged", "best=tangent-merged-tuned", "learned")
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("compare", "--policies tank-merged --out tank-joined"),
+        ("train", "--out=tank-joined"),
+        ("leaderboard", "--tier smoke --out tank-joined"),
+    ],
+)
+def test_paths_like_former_policy_names_are_kept(command, words, monkeypatch, capsys):
+    module, given = importlib.import_module(f"train.{cli.COMMANDS[command][0]}"), []
+    monkeypatch.setattr(module, "run", given.append)
+    assert run(command, *words.split()) == 0
+    assert given[0].out == Path("tank-joined") and not capsys.readouterr().err
 
 
 def test_old_flag_names_are_accepted(monkeypatch):
