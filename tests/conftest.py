@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib import import_module
@@ -95,8 +95,14 @@ LONG = (
 separated, or both workers would compile those."""
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order long files first, then by number of tests, so that no worker ends with a long file."""
+    """Mark combinations of parameters ``slow``, then order long files first.
+
+    Files with many tests come next, so that no worker ends with a long file.
+    """
+    for item in repeated_combinations(items):
+        item.add_marker(pytest.mark.slow)
     tests = Counter(item.path for item in items)
 
     def rank(item: pytest.Item) -> tuple[int, int]:
@@ -104,6 +110,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return LONG.index(name) if name in LONG else len(LONG), -tests[item.path]
 
     items.sort(key=rank)
+
+
+def repeated_combinations(items: list[pytest.Item]) -> Iterator[pytest.Item]:
+    """Tests whose parameters all occur in other fast tests of the same function."""
+    families = defaultdict(list)
+    for item in items:
+        if isinstance(item, pytest.Function) and not item.get_closest_marker("slow"):
+            # the names of its values, one for each decorator or fixture with parameters
+            names = item.callspec._idlist if hasattr(item, "callspec") else ()
+            families[item.nodeid.partition("[")[0]].append((item, set(enumerate(names))))
+    for family in families.values():
+        left = set().union(*(values for _, values in family))
+        while left:
+            best = max(family, key=lambda test: len(left & test[1]))
+            family.remove(best)
+            left -= best[1]
+        yield from (item for item, values in family if values)
 
 
 ROOT = Path(__file__).parent.parent

@@ -14,6 +14,7 @@ def run(name, *words):
     return run_python(ROOT, EXAMPLES / name, *words).stdout
 
 
+@pytest.mark.slow
 def test_step_loop_and_custom_law_run():
     assert re.fullmatch(r"\d+ steps; met: True after \d\.\d\d s\n", run("01_step_loop.py"))
     law, fast = run("02_own_law.py").splitlines()

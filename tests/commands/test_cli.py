@@ -86,6 +86,7 @@ class TestHelp:
                 assert tyro.cli(config, args=words.split()), (name, words)
 
 
+@pytest.mark.slow
 def test_names_and_paths_are_not_markup(tmp_path, monkeypatch, capsys):
     """Every command prints names unchanged."""
     monkeypatch.chdir(tmp_path)
@@ -234,7 +235,7 @@ def test_completion_covers_all_commands_and_flags(tmp_path, capsys):
     assert run("--completion", "ksh") == 2
 
 
-@pytest.mark.parametrize(("figure", "through"), [("fig3", True), ("fig4", False)])
+@pytest.mark.parametrize(("figure", "through"), [("fig3", True), slow("fig4", False)])
 def test_reproduce_writes_figure_and_data(figure, through, tmp_path):
     """Robots pass through obstacles in figure 3, and around them in figure 4."""
     assert run("reproduce", figure, "--out", str(tmp_path)) == 0

@@ -141,9 +141,9 @@ def compared_files(compared):
     return {k: content for k, content in contents(compared).items() if k != "report.html"}
 
 
-@cases(10, 100)
-def test_report_rejects_damaged_result_folders(count, compared_files, reseal, tmp_path, capsys):
-    @tried(count, often(compared_files), st.booleans())
+@pytest.mark.slow
+def test_report_rejects_damaged_result_folders(compared_files, reseal, tmp_path, capsys):
+    @tried(100, often(compared_files), st.booleans())
     def _(files, sealed):
         lay(tmp_path / "out", files)
         if sealed:
@@ -183,11 +183,11 @@ def sign(folder):
 
 
 class TestRuns:
-    @cases(8, 40)
-    def test_resume_rejects_damaged_files(self, count, run_files, tmp_path, capsys):
+    @pytest.mark.slow
+    def test_resume_rejects_damaged_files(self, run_files, tmp_path, capsys):
         folder = tmp_path / "run"
 
-        @tried(count, often(run_files), st.booleans())
+        @tried(40, often(run_files), st.booleans())
         def _(files, sealed):
             lay(folder, files)
             if sealed:
@@ -284,13 +284,13 @@ def no_work(monkeypatch):
     monkeypatch.setattr(leaderboard, "write", lambda *given: None)
 
 
-@cases(40, 160)
-def test_invalid_command_lines_are_one_line(count, no_work, tmp_path, capsys, monkeypatch):
+@pytest.mark.slow
+def test_invalid_command_lines_are_one_line(no_work, tmp_path, capsys, monkeypatch):
     odd = {"file": b"", "bytes.toml": b"\xff\xfe\0", "words.toml": b"n_robots = [[[["}
     odd |= dict.fromkeys(("folder.toml", "folder"))
     accepted = set()
 
-    @tried(count, command_lines())
+    @tried(160, command_lines())
     def _(words):
         monkeypatch.chdir(work := lay(tmp_path / "work", odd))
         if said_by(words, work, capsys) == 0:

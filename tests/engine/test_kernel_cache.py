@@ -230,6 +230,7 @@ def test_cache_key_of_a_type_covers_the_functions_that_it_chooses(monkeypatch):
     assert misses() == misses() == 1  # no later process finds a type of the script that is run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chosen", [slow(False), True], ids=["folder and home", "NUMBA_CACHE_DIR"])
 def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     package(tmp_path, 0.5)
@@ -284,6 +285,7 @@ def test_cache_recompiles_damaged_code(own_folder):
     assert misses() == 0  # and kept
 
 
+@pytest.mark.slow
 def test_cache_compiles_once_in_processes_that_start_together(tmp_path):
     """The other processes wait for the code of the first."""
     package(tmp_path, 0.5)

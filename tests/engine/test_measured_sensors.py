@@ -149,6 +149,7 @@ def test_observer_bias_turns_obstacles_as_it_turns_robots():
     assert there.sum() > 100 and of_points[there] == pytest.approx(wanted[there], abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [WALLED, SPACE], ids=["plane", "space"])
 def test_equal_levels_of_noise_are_bitwise_one_level(scenario):
     one = simulator(sensing(scenario, noise=0.3, bias=0.1, sectors=90), 40)
@@ -325,6 +326,7 @@ def models() -> list[rv.Scenario]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scenario",
     [*models()[:1], *map(slow, models()[1:])],

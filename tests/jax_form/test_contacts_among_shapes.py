@@ -43,6 +43,7 @@ def fields_of(name):
     return fields.Fields(scenario, jnp.float64), world
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "mode"), [("seams", SLIDE), *LONG])
 def test_contacts_equal_the_kernels(name, mode, rj):
     import jax

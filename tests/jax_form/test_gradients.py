@@ -22,6 +22,7 @@ def together(state):
     return state.replace(positions=places)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", marked(MODELS, slow=MODELS.keys() - {"single integrators"}))
 def test_gradients_are_finite_at_singular_states(model, rj):
     """Coincident robots, f = 0 between two others, actions of zero, and robots at rest."""

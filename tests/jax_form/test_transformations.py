@@ -90,6 +90,7 @@ def test_one_team_equals_its_row_in_a_batch_and_under_vmap(rj):
         np.testing.assert_allclose(np.moveaxis(np.asarray(ours), -1, 0), theirs, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_key_draws_seeds_of_its_own(rj):
     import jax
 
@@ -117,6 +118,7 @@ def test_traced_seeds_are_refused_and_traced_keys_accepted(rj):
     assert observations.shape == (4, *env.reset(0)[0].shape)
 
 
+@pytest.mark.slow
 def test_float32_starts_agree_to_its_precision(rj):
     import jax
 
@@ -150,6 +152,7 @@ def test_float32_steps_agree_for_actions_whose_square_is_out_of_range(guarantee,
     np.testing.assert_allclose(places, engine.unwrapped.simulator.positions, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_spaces_hold_observations_and_are_those_of_make_vec(rj):
     engine = rv.make_vec("uav-6", num_envs=3)
     env = rj.make("uav-6", num_envs=3)
@@ -194,6 +197,7 @@ def test_what_is_not_a_number_stays_in_its_team(rj):
     assert (state.merged_into[:, 1] != np.arange(3)).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wide", [False, slow(True)])
 @pytest.mark.parametrize(
     ("name", "guarantee", "changes"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from geometry import triple, world
-from parameters import slow
+from parameters import first_fast, slow
 from test_contact import move_one_curved, move_one_straight
 from union_presses import MODELS, UNIONS, Count, pressed
 
@@ -79,7 +79,7 @@ class TestTheIssue:
         if policy == "bearing-only":
             assert (contacts[:, 0] > 200).all()
 
-    @pytest.mark.parametrize("overlap", [0.0, 1e-9, 1e-7, 1e-6])
+    @pytest.mark.parametrize("overlap", first_fast([1e-9, 0.0, 1e-7, 1e-6]))
     def test_a_wall_of_tiles_80_m_long_stops_law_1_with_contacts(self, overlap):
         tiles = [tile(-40 + k, 0, 1 + overlap) for k in range(80)]
         for x in (0.0, 0.3, 7.0):  # on a seam and beside it
@@ -154,7 +154,9 @@ class TestSkins:
                 radius = size / math.sqrt(3) + cover
                 assert skins(*(Sphere(tuple(p), radius) for p in places)) == [wanted] * 3
 
-    @pytest.mark.parametrize("name", ["clutter-24", "clutter-3d-32", "rooms", "trap", "window-3d"])
+    @pytest.mark.parametrize(
+        "name", first_fast(["clutter-24", "clutter-3d-32", "rooms", "trap", "window-3d"])
+    )
     def test_the_named_scenarios_have_none(self, name):
         scenario = rv.scenarios.get(name)
         simulator = rv.Simulator(scenario, 50)
@@ -257,6 +259,7 @@ class TestPresses:
                 total = Count(*map(sum, zip(total, found, strict=True)))
         return total
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
     def test_of_points_in_the_plane(self, seed):
         self.count(2, "single_integrator", seed)
@@ -301,6 +304,7 @@ class TestAgainstShapely:
                     )
                     assert found == pytest.approx(wanted, abs=1e-9)
 
+    @pytest.mark.slow
     def test_silhouettes_cover_the_angular_extent_of_the_union(self):
         """As in tangent-merged: ends of the merged intervals."""
         random = np.random.default_rng(1)
