@@ -58,7 +58,7 @@ test-pythons: $(PYTHONS:%=.venv-%/installed)
 # TorchRL with BenchMARL, and all others that have a folder in tests/adapters; slow tests too
 test-adapters: learners
 	$(MAKE) test-adapter-ros  # depends on the clock, so alone
-	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
+	$(MAKE) --jobs=3 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 
 $(LEARNERS:%=test-adapter-%): test-adapter-%: .venv-adapters/%/installed
 	.venv-adapters/$*/bin/python -m pytest -q -m 'slow or not slow' tests/adapters/$*

@@ -39,11 +39,13 @@ def test_gradients_equal_central_differences_through_merges(rj):
         last, _ = run(jax, env, state, observations, steps, gain)
         return last.lyapunov + last.path_length, last
 
-    (_, last), (slope, slope_of_gain) = jax.jit(
-        jax.value_and_grad(cost, argnums=(0, 1), has_aux=True)
-    )(begun[1].positions, 0.5)
+    both = jax.jit(jax.value_and_grad(cost, argnums=(0, 1), has_aux=True))
+    (_, last), (slope, slope_of_gain) = both(begun[1].positions, 0.5)
     assert (last.merged_into != jnp.arange(3)).any(), "the gradient passed no merge"
-    value = jax.jit(lambda *at: cost(*at)[0])
+
+    def value(*at):
+        return both(*at)[0][0]
+
     places = np.asarray(begun[1].positions)
     for i, axis in ((0, 0), (1, 1), (2, 0)):
         moved = np.zeros_like(places)
