@@ -149,7 +149,7 @@ NOT_OF_ONE_ROBOT = {
     ("policy", "name"),
     [
         ("bearing-only", "clutter-12"),
-        ("learned-tank", "unicycle-6"),
+        slow("learned-tank", "unicycle-6"),
         slow("tangent-merged", "clutter-12"),
         slow("learned", "unicycle-clutter-8"),
         slow("learned-tank", "uav-clutter-16"),

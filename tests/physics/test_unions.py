@@ -56,7 +56,7 @@ class TestTheIssue:
     """A closed room, and a wall of tiles 80 m long."""
 
     @pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])
-    @pytest.mark.parametrize("policy", ["bearing-only", "tangent-merged-tuned"])
+    @pytest.mark.parametrize("policy", ["bearing-only", slow("tangent-merged-tuned")])
     def test_a_robot_in_a_room_without_a_door_is_not_met(self, policy, angle):
         room = turned([Polygon(vertices) for vertices in ROOM], angle)
         scenario = rv.Scenario(

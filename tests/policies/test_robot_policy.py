@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import LAWS
 from geometry import along
-from parameters import first_fast
+from parameters import first_fast, slow
 from robot_actions import neighbour_reading
 from scipy.optimize import linear_sum_assignment
 
@@ -98,7 +98,7 @@ SPACE = {"robot_model": ["single_integrator", "nonholonomic_3d"] * 2, "max_speed
 
 
 @pytest.mark.parametrize(
-    "scenario", ["mixed-8", rv.Scenario(n_robots=4, dim=3, **SPACE)], ids=["plane", "space"]
+    "scenario", ["mixed-8", slow(rv.Scenario(n_robots=4, dim=3, **SPACE))], ids=["plane", "space"]
 )
 def test_robots_of_a_mixed_team_act_as_in_the_team(scenario):
     """Each by its index, under the law of its model, with its own limits."""
