@@ -84,12 +84,13 @@ def use_own_temporary_folder(config: pytest.Config) -> None:
 
 LONG = (
     "test_random_scenarios", "test_installed", "test_batch_equals_singles", "test_unions",
-    "test_sensing_engine", "test_gradients", "test_paper", "test_guarantee_wrappers",
-    "test_interrupts", "test_examples", "test_same_experiment", "test_standalone",
-    "test_privileged_planner", "test_contacts_among_shapes", "test_kernel_cache", "test_site",
-    "test_research_scripts", "test_kernel_coverage", "test_fuzz_core", "test_fuzz_files",
-    "test_sensor_fit", "test_double_integrator", "test_docs", "test_every_policy",
-    "test_package", "test_resuming", "test_shipped",
+    "test_robot_policy", "test_gradients", "test_sensing_engine", "test_paper",
+    "test_guarantee_wrappers", "test_interrupts", "test_examples", "test_same_experiment",
+    "test_standalone", "test_policies", "test_robot_sensors", "test_privileged_planner",
+    "test_contacts_among_shapes", "test_kernel_cache", "test_site", "test_research_scripts",
+    "test_kernel_coverage", "test_fuzz_core", "test_fuzz_files", "test_sensor_fit",
+    "test_double_integrator", "test_transformations", "test_docs", "test_every_policy",
+    "test_package", "test_resuming", "test_workers", "test_shipped",
 )  # fmt: skip
 """Slowest test files in the order of distribution to two workers. Files with the same kernels are
 separated, or both workers would compile those."""
