@@ -149,6 +149,7 @@ def test_observer_bias_turns_obstacles_as_it_turns_robots():
     assert there.sum() > 100 and of_points[there] == pytest.approx(wanted[there], abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [WALLED, SPACE], ids=["plane", "space"])
 def test_equal_levels_of_noise_are_bitwise_one_level(scenario):
     one = simulator(sensing(scenario, noise=0.3, bias=0.1, sectors=90), 40)
@@ -223,7 +224,7 @@ def test_detection_follows_its_table_between_the_distances_given():
         assert abs(hits - 25.0 * chance[within].sum()) < 4.0 * sd + 1e-9, (low, high)
 
 
-@pytest.mark.parametrize("scenario", [PLANE, SPACE], ids=["plane", "space"])
+@pytest.mark.parametrize("scenario", [PLANE, slow(SPACE)], ids=["plane", "space"])
 def test_detection_falls_off_to_the_edge_of_the_field_of_view(scenario):
     sim = simulator(sensing(scenario, field_of_view=4.0, view_falloff=1.0), batch=400)
     true, found = true_rows(sim), np.zeros((400, 5, 5))
@@ -325,6 +326,7 @@ def models() -> list[rv.Scenario]:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scenario",
     [*models()[:1], *map(slow, models()[1:])],
