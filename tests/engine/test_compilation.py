@@ -2,6 +2,7 @@
 
 import gc
 import importlib
+import operator
 import pkgutil
 import textwrap
 from typing import NamedTuple
@@ -43,6 +44,24 @@ def test_kernel_refuses_to_allocate(decorate, inline):
 
     with pytest.raises(numba.core.errors.NumbaError, match=r"(?i)nrt|allocat|zeros"):
         caller(3)
+
+
+def test_kernel_refuses_to_allocate_what_another_kernel_may():
+    """Signatures of numba's functions are remembered for either; a leak would go unnoticed."""
+    assert compilation.kernel(allocates=True)(lambda n: np.ones(n).sum())(3) == 3.0
+    with pytest.raises(numba.core.errors.NumbaError, match=r"(?i)nrt|allocat|ones"):
+        compilation.kernel(lambda n: np.ones(n).sum())(3)
+
+
+def test_compilation_leaves_the_typing_of_numba_alone():
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+    context = numba.core.registry.cpu_target.typing_context
+    before = {*vars(context)}
+    assert compilation.kernel(lambda x: x * 2.0 + x)(3.0) == 9.0
+    assert type(context) is numba.core.typing.Context and {*vars(context)} == before
+    for function in (operator.add, operator.mul, operator.getitem):
+        assert type(context.resolve_value_type(function)) is numba.types.Function
 
 
 def test_kernel_with_allocates_returns_arrays():
