@@ -208,6 +208,7 @@ def test_mixed_models_in_training_environments_by_name(case):
     np.testing.assert_array_equal(np.stack([*rows.values()]), seen[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", marked(["rails", "space"], slow=["rails"]))
 def test_mixed_models_in_stable_baselines3(case):
     sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")

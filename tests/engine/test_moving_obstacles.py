@@ -160,6 +160,7 @@ def test_stop_holds_obstacle_up_until_robot_leaves(speed):
     assert sim.obstacle_offsets[0, 0, 0] > 2.5 + 0.4 * speed
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_squeezed_robot_stops_the_obstacle():
     wall = rv.Polygon(((4.0, -5.0), (5.0, -5.0), (5.0, 5.0), (4.0, 5.0)))

@@ -263,6 +263,7 @@ def test_mixed_team_with_global_frames_has_them():
     assert (sim.frames[0, 1] != np.eye(2)).any()
 
 
+@pytest.mark.slow
 def test_mixed_team_meets_under_the_laws_of_its_robots():
     met = rv.rollout("mixed-8", baselines.make("by-model", "mixed-8"), num_envs=20)
     assert met.success.all()

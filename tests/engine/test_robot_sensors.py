@@ -81,7 +81,7 @@ def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
 
 
 @pytest.mark.parametrize("others", OTHERS)
-@pytest.mark.parametrize("team", marked(TEAMS, kernels=["space"]))
+@pytest.mark.parametrize("team", marked(TEAMS, slow=["space"], kernels=["space"]))
 def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
     scenario, common = TEAMS[team], OTHERS[others]
     found = seen(scenario.replace(sensing=mixed(others)), 2)
@@ -94,7 +94,7 @@ def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
 
 
 @pytest.mark.parametrize("others", OTHERS)
-@pytest.mark.parametrize("team", TEAMS)
+@pytest.mark.parametrize("team", marked(TEAMS, slow=["space"]))
 def test_sensors_batch_equals_singles(team, others):
     scenario = TEAMS[team].replace(sensing=mixed(others))
     many = seen(scenario, 40)

@@ -82,6 +82,7 @@ class TestReplay:
         right = opened.locator(".v .u-over").nth(1).bounding_box()
         assert head["x"] == pytest.approx(right["x"] + 0.25 * right["width"], abs=2)
 
+    @pytest.mark.slow
     def test_values_match_time(self, opened, recorded):
         times = recorded("times")
         frame = len(times) // 2

@@ -220,6 +220,7 @@ def test_camera_is_a_sensing_preset():
     assert not rv.certificate(scenario).guaranteed
 
 
+@pytest.mark.slow
 def test_mrclam_preset_loses_robots_in_the_blind_zone_and_outside_its_view():
     """Two robots face each other at each distance, and one faces away."""
     sensing = rv.Sensing.mrclam()
