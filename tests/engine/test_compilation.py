@@ -18,6 +18,7 @@ import train
 from rendezvous_env import compilation, kernel_cache
 
 
+@pytest.mark.slow
 def test_kernel_inlined_checks_bounds(tmp_path):
     """Inlined kernels count no references, but errors must still propagate."""
     (tmp_path / "reading.py").write_text(
@@ -204,6 +205,7 @@ def test_kernel_compiled_for_a_kernel_gets_an_entry_when_python_calls_it():
     assert not compilation.compiled() or len(successor.overloads) == 1
 
 
+@pytest.mark.slow
 def test_compilation_changes_nothing_of_numba_for_others(tmp_path):
     """Function numbers and settings are kept, and a user's kernels are unaffected."""
     script = """
