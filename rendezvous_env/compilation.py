@@ -19,7 +19,7 @@ from numba.core.dispatcher import OmittedArg
 from numba.core.errors import TypingError
 from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
-from numba.core.typing import Context
+from numba.core.typing.context import Context
 from numba.extending import overload
 
 from .inner_code import load_environments, passes_of_kernels
@@ -121,7 +121,7 @@ class _TypingContext(_CONTEXT):
     __slots__ = ("_known", "_operators")  # all else is shared
 
     def __init__(self, context: Any) -> None:
-        self.__dict__ = context.__dict__
+        self.__dict__ = context.__dict__  # type: ignore[misc]
         self._known: dict[Any, Any] = {}
         self._operators: dict[Any, Any] = {}
 
