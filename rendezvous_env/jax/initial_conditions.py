@@ -5,7 +5,6 @@ Arrays have the batch axis last. Random numbers equal those of the engine.
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray

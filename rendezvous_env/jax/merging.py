@@ -11,7 +11,6 @@ import numpy as np
 
 from ..physics.crossings import first_crossing
 from .arrays.array_form import Array, array_form
-from .arrays.loops import while_busy
 from .obstacles.fields import Fields
 
 
@@ -76,7 +75,7 @@ class Merging:
             passes = self._n + (0 if self._through else len(self._first))
             moving = jax.lax.fori_loop(0, passes, lambda _, now: go(now), begun)[0]
         else:
-            moving = while_busy(go, begun)[0]
+            moving = jax.lax.while_loop(lambda now: jnp.any(now[-1]), go, begun)[0]
         return moving._replace(obstacles=())
 
     def _links(self, weights: Array) -> Array:

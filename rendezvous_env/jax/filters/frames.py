@@ -14,7 +14,6 @@ from ...safety.safety_filter import SafetyFilter
 from ...safety.turning import Robot
 from ..arrays.array_form import Array, array_form, select, square_root
 
-
 _UNROLLED = 8  # rows: code for each of hundreds would take minutes to compile
 
 

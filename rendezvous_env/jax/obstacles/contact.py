@@ -143,8 +143,8 @@ class Contact:
     ) -> tuple[Any, Array]:
         """``contact._settle``: a place on the path, and whether it is outside the obstacles."""
         depth, wanted, world = self._tolerances.depth, place(share), self._constant(world)
-        begun = self._constant((start, share, depth / jnp.maximum(depth, pace)))
-        end, clear = self._settled(world, begun[0], place, *begun[1:], asked)
+        start, share, step = self._constant((start, share, depth / jnp.maximum(depth, pace)))
+        end, clear = self._settled(world, start, place, share, step, asked)
         return self._corrected(wanted, end), clear
 
     def _settled(
