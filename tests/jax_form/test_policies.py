@@ -16,6 +16,8 @@ from rendezvous_env.baselines.obstacle_rules import planes_in_space
 import rendezvous_env as rv
 from rendezvous_env import baselines
 
+pytestmark = pytest.mark.usefixtures("less_optimised")
+
 TEAMS, SEED = 4, 3
 CASES = {
     "law (1)": ("bearing-only", "duo", {"n_robots": 5}),
@@ -70,6 +72,7 @@ def test_policy_equals_its_numpy_form(case, jax_policies):
         assert old.shape == new.shape and old.dtype == new.dtype
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["learned", slow("learned-tank"), slow("recurrent")])
 def test_network_equals_numpy_actor(name, jax_policies):
     rng, learned = np.random.default_rng(0), jax_policies.learned
@@ -171,6 +174,7 @@ def _random_weights(rng, settings, layout):
     return {key: 0.3 * rng.standard_normal(shape) for key, shape in shapes.items()}
 
 
+@pytest.mark.slow
 def test_joined_intervals_equal_the_kernel(jax_policies):
     """Random silhouettes of all widths: rotated copies merge, wrap around and close."""
     intervals = importlib.import_module("rendezvous_env.baselines.jax.merged_intervals")
@@ -208,6 +212,7 @@ def test_make_names_what_has_no_jax_form(jax_policies):
     assert {"bearing-only", "tank-merged", "learned"} <= set(jax_policies.names())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["bearing-only", slow("tangent-merged-tuned"), slow("tank-merged")],

@@ -184,6 +184,7 @@ class TestAddress:
             "robot": ["2"], "t": ["0.05"],
         }  # fmt: skip
 
+    @pytest.mark.slow
     def test_address_is_followed(self, opened):
         fragment = "#scenario=uav-6&start=1&policy=zero&robot=4&t=0.5"
         with reloaded(opened):
