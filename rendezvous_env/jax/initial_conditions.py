@@ -5,7 +5,6 @@ Arrays have the batch axis last. Random numbers equal those of the engine.
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import Scenario
 from .arrays.array_form import Array, array_form
+from .arrays.loops import while_busy
 from .arrays.random_streams import Numbers, Word, numbers, stream_keys, uniform
 from .obstacles.fields import Fields
 
@@ -82,16 +82,11 @@ class InitialConditionSampler:
         edges = np.array(rules.spawn_edges[:d], self._dtype).reshape(d, *[1] * len(batch))
         near, linked = rules.least_distance**2, jnp.asarray(self._linked)
 
-        def needs_more(drawn: Any) -> Array:
-            _, robot, _, tries, _ = drawn
-            return jnp.any((robot < n) & (tries < _MAX_DRAWS))
-
         def sampled(counter: Array) -> Array:
             return edges * (numbers(key, counter, d, self._dtype).values - 0.5)
 
         def draw(drawn: Any) -> Any:
-            positions, robot, counter, tries, place = drawn
-            busy = (robot < n) & (tries < _MAX_DRAWS)
+            positions, robot, counter, tries, place, busy = drawn
             square = sum((positions[:, axis] - place[axis]) ** 2 for axis in range(d))
             others = jnp.moveaxis(linked[jnp.minimum(robot, n - 1)], -1, 0) & (robots < robot)
             kept = busy & ~jnp.any(others & (square < near), axis=0)
@@ -101,12 +96,13 @@ class InitialConditionSampler:
             mine = (robots == robot) & kept
             positions = jnp.where(mine[:, None], place[None], positions)
             tries = jnp.where(kept, 0, tries + busy)
-            counter = counter + d * busy
-            return positions, robot + kept, counter, tries, sampled(counter)
+            counter, robot = counter + d * busy, robot + kept
+            busy = (robot < n) & (tries < _MAX_DRAWS)
+            return positions, robot, counter, tries, sampled(counter), busy
 
         none = jnp.zeros(batch, jnp.int32)
         begun = jnp.zeros((n, d, *batch), self._dtype), none, none, none, sampled(none)
-        positions, robot, *_ = jax.lax.while_loop(needs_more, draw, begun)
+        positions, robot, *_ = while_busy(draw, (*begun, none == 0))
         return jnp.where(robot < n, jnp.nan, positions)
 
     def _frames(self, drawn: Numbers, batch: tuple[int, ...]) -> Array:

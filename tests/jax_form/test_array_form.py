@@ -12,7 +12,12 @@ from rendezvous_env.physics import random_streams as engine_streams
 from rendezvous_env.physics.crossings import first_crossing
 from rendezvous_env.robots.double_integrator import mean_speed
 from rendezvous_env.robots.unicycle import mean_cos_sin
-from rendezvous_env.safety.heading import certified_heading, certify_one, turn_limit
+from rendezvous_env.safety.heading import (
+    HeadingFilter,
+    certified_heading,
+    certify_one,
+    turn_limit,
+)
 from rendezvous_env.sensors.chance import cosine_and_sine, gaussian
 
 
@@ -53,6 +58,19 @@ def test_forms_that_select_equal_kernels_that_branch(kernel, rj):
     found = np.asarray(array_form(kernel)(*arrays))
     np.testing.assert_allclose(found if found.ndim == 1 else found.T, expected, rtol=1e-9)
     assert len(np.unique(expected)) > 50
+
+
+def test_frames_among_many_obstacles_equal_those_of_the_engine(rj):
+    heading = importlib.import_module("rendezvous_env.jax.filters.heading")
+    engine = rv.make_vec("slab-3d", num_envs=3)
+    rows = np.moveaxis(engine.reset(seed=4)[0], 0, -1).astype(float)
+    n, count, d, batch = rows.shape
+    assert count > 100, "the rows do not fit into a few passes of the loop"
+    form = heading.Heading(HeadingFilter(engine.unwrapped.scenario, 1), rows.dtype)
+    found, _ = form.observe(rows, form.begin(n, d, (batch,), rows.dtype))
+    expected, _ = rv.vector.GuaranteeWrapper(engine, "heading").reset(seed=4)
+    np.testing.assert_allclose(np.moveaxis(np.asarray(found), -1, 0), expected, atol=1e-6)
+    assert np.abs(expected - np.moveaxis(rows, -1, 0)).max() > 0.5
 
 
 def _shapes(kind, dim):

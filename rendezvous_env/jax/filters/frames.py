@@ -5,6 +5,7 @@ Arrays have the environment axis last.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from ...physics.vectors import cross, split, without
@@ -12,6 +13,8 @@ from ...safety.frames import _CLEARLY_LONGER, _NEARLY_ALONG
 from ...safety.safety_filter import SafetyFilter
 from ...safety.turning import Robot
 from ..arrays.array_form import Array, array_form, select, square_root
+
+_UNROLLED = 8  # rows: code for each of hundreds would take minutes to compile
 
 
 class LastObservation(NamedTuple):
@@ -54,17 +57,22 @@ def look(
     return turned.astype(rows.dtype), seen
 
 
+def vector_of(values: Array) -> Any:
+    """Vectors (n, d, *batch) as a tuple."""
+    return tuple(values[:, k] for k in range(values.shape[1]))
+
+
 def held(safety_filter: SafetyFilter, choices: Array, seen: LastObservation) -> Any:
     """Choices (n, k, *batch) as a tuple; vectors in the robots' frames."""
     if safety_filter.along_net_bearing:
         choices = jnp.sum(seen.frames * choices[:, None], axis=2)
-    return tuple(choices[:, k] for k in range(choices.shape[1]))
+    return vector_of(choices)
 
 
 def _aimed(rows: Array, f: Array, frames: Array, dead_zone: float) -> Array:
     """Frames with x along f; kept where ‖f‖ < δ."""
     d = rows.shape[2]
-    strength, towards = array_form(split)(tuple(f[:, k] for k in range(d)))
+    strength, towards = array_form(split)(vector_of(f))
     if d == 2:
         x, y = towards
         columns = [jnp.stack([x, y], 1), jnp.stack([-y, x], 1)]
@@ -76,13 +84,16 @@ def _aimed(rows: Array, f: Array, frames: Array, dead_zone: float) -> Array:
 
 def _axes_in_space(rows: Array, towards: Any) -> Any:
     """``safety.frames._aim_in_space`` for all robots."""
-    longest = jnp.full_like(towards[0], _NEARLY_ALONG)
-    across = tuple(jnp.zeros_like(part) for part in towards)
-    for k in range(rows.shape[1]):
-        row = tuple(rows[:, k, axis] for axis in range(3))
-        length, direction = array_form(split)(array_form(without)(row, towards))
+
+    def longer_of(k: Any, now: Any) -> Any:
+        longest, across = now
+        row = jax.lax.dynamic_index_in_dim(rows, k, axis=1, keepdims=False)
+        length, direction = array_form(split)(array_form(without)(vector_of(row), towards))
         longer = length > _CLEARLY_LONGER * longest + _NEARLY_ALONG
-        longest, across = jnp.where(longer, length, longest), select(longer, direction, across)
+        return jnp.where(longer, length, longest), select(longer, direction, across)
+
+    begun = jnp.full_like(towards[0], _NEARLY_ALONG), tuple(jnp.zeros_like(x) for x in towards)
+    longest, across = jax.lax.fori_loop(0, rows.shape[1], longer_of, begun, unroll=_UNROLLED)
     zero, one = jnp.zeros_like(longest), jnp.ones_like(longest)
     axis = select(jnp.abs(towards[0]) < 0.9, (one, zero, zero), (zero, one, zero))
     _, other = array_form(split)(array_form(without)(axis, towards))

@@ -17,7 +17,7 @@ from ...safety.heading import (
 )
 from ...safety.turning import Gate, desired_rates, gated_rates, mean_axis, rates_of
 from ..arrays.array_form import Array, array_form
-from .frames import LastObservation, held, look, nothing_seen
+from .frames import LastObservation, held, look, nothing_seen, vector_of
 
 Vector = Any
 
@@ -89,11 +89,6 @@ class Heading:
         speed = self._sure(array_form(dot)(m, f), seen.degree)
         actions = jnp.stack([speed, *sent], axis=1)
         return jnp.where((seen.degree == 0.0)[:, None], 0.0, actions)
-
-
-def vector_of(values: Array) -> Vector:
-    """Vectors (n, d, *batch) as a tuple."""
-    return tuple(values[:, k] for k in range(values.shape[1]))
 
 
 def turned(rates: Any, pitch: Array, gate: Gate, sent_as: Any) -> tuple[Any, Vector]:

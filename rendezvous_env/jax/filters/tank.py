@@ -24,8 +24,8 @@ from ...safety.tank import (
 )
 from ...safety.turning import Robot, desired_rates, gated_rates, rates_of
 from ..arrays.array_form import Array, array_form, select
-from .frames import LastObservation, held, look, nothing_seen
-from .heading import turned, vector_of
+from .frames import LastObservation, held, look, nothing_seen, vector_of
+from .heading import turned
 
 
 class TankMemory(NamedTuple):

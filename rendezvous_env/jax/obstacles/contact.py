@@ -21,6 +21,7 @@ from ...obstacles.obstacle_set import _MAX_PUSHES
 from ...physics.vectors import cross, dot
 from ...robots.motion import SLID, STOPPED, chord_error_bound, displacement_at, period
 from ..arrays.array_form import Array, array_form, norm_of, select
+from ..arrays.loops import while_busy
 from ..arrays.selection import divided
 from ..arrays.some_envs import for_envs
 from .fields import Fields
@@ -132,51 +133,61 @@ class Contact:
         return asked & jnp.any(deep, axis=0)
 
     def _push_out(self, world: World, point: Any, asked: Array) -> tuple[Array, Any]:
-        """``obstacle_set.push_out``: pushes in the order of obstacles, 8 times through all."""
-        slots = jnp.arange(self._shapes.count).reshape(-1, 1)
-
-        def push(now: Any) -> Any:
-            point, slot, rounds, is_out, busy = now
-            distance, normal = self._shapes.surface(world, point)
-            deep = distance < world.skins
-            begins = ~jnp.any(deep & (slots >= slot), axis=0)  # all are through
-            rounds = rounds + begins
-            clear = jnp.all(distance >= self._tolerances.touching + world.skins, axis=0)
-            ends = begins & (clear | (rounds > _MAX_PUSHES))
-            pushing = deep & ((slots >= slot) | begins)
-            which = jnp.argmax(pushing, axis=0).astype(jnp.int32)
-            one = pushing & (slots == which) & busy & ~ends
-            depth = jnp.sum(jnp.where(one, world.skins - distance, 0.0), axis=0)
-            along = tuple(jnp.sum(jnp.where(one, part, 0.0), axis=0) for part in normal)
-            point = tuple(x + depth * n for x, n in zip(point, along, strict=True))
-            is_out = jnp.where(ends & busy, clear, is_out)
-            return point, which + 1, rounds, is_out, busy & ~ends
-
-        none = jnp.zeros(asked.shape, jnp.int32)
-        begun = point, none + self._shapes.count, none, jnp.zeros_like(asked), asked
-        point, _, _, is_out, _ = jax.lax.while_loop(lambda now: jnp.any(now[-1]), push, begun)
-        return is_out, point
+        """``obstacle_set.push_out``: whether there is room outside the obstacles, and the point."""
+        none = jnp.zeros_like(point[0])
+        end, is_out = self._settled(world, point, lambda _: point, none, none, asked)
+        return is_out, end
 
     def _settle(
         self, world: World, start: Any, place: Any, share: Any, pace: Any, asked: Array
     ) -> tuple[Any, Array]:
         """``contact._settle``: a place on the path, and whether it is outside the obstacles."""
-
-        def retreat(now: Any) -> Any:
-            share, step, end, clear, busy = now
-            last = ~((share > 0.0) & (step > 0.0))
-            tried = self._constant(select(last, start, place(share)))
-            is_out, point = self._push_out(world, tried, busy)
-            ends = busy & (is_out | last)
-            end, clear = select(ends, point, end), jnp.where(ends, is_out, clear)
-            return share - step, 2.0 * step, end, clear, busy & ~ends
-
         depth, wanted, world = self._tolerances.depth, place(share), self._constant(world)
-        begun = share, depth / jnp.maximum(depth, pace), start, jnp.zeros_like(asked), asked
-        _, _, end, clear, _ = jax.lax.while_loop(
-            lambda now: jnp.any(now[-1]), retreat, self._constant(begun)
-        )
+        start, share, step = self._constant((start, share, depth / jnp.maximum(depth, pace)))
+        end, clear = self._settled(world, start, place, share, step, asked)
         return self._corrected(wanted, end), clear
+
+    def _settled(
+        self, world: World, start: Any, place: Any, share: Any, step: Any, asked: Array
+    ) -> tuple[Any, Array]:
+        """Push out a place on the path; without room, those before it, and last the start.
+
+        Obstacles push in their order, 8 times through all.
+        """
+        slots = jnp.arange(self._shapes.count).reshape(-1, 1)
+
+        def place_of(share: Any, step: Any) -> tuple[Any, Array]:
+            last = ~((share > 0.0) & (step > 0.0))
+            return self._constant(select(last, start, place(share))), last
+
+        def push(now: Any) -> Any:
+            point, slot, rounds, share, step, is_out, busy = now
+            distance, normal = self._shapes.surface(world, point)
+            deep = distance < world.skins
+            begins = ~jnp.any(deep & (slots >= slot), axis=0)  # all are through
+            rounds = rounds + begins
+            clear = jnp.all(distance >= self._tolerances.touching + world.skins, axis=0)
+            through = begins & (clear | (rounds > _MAX_PUSHES))
+            last = place_of(share, step)[1]
+            ends = through & (clear | last)
+            pushing = deep & ((slots >= slot) | begins)
+            which = jnp.argmax(pushing, axis=0).astype(jnp.int32)
+            one = pushing & (slots == which) & busy & ~through
+            depth = jnp.sum(jnp.where(one, world.skins - distance, 0.0), axis=0)
+            along = tuple(jnp.sum(jnp.where(one, part, 0.0), axis=0) for part in normal)
+            point = tuple(x + depth * n for x, n in zip(point, along, strict=True))
+            retreats = busy & through & ~ends
+            share, step = select(retreats, (share - step, 2.0 * step), (share, step))
+            point = select(retreats, place_of(share, step)[0], point)
+            slot = jnp.where(retreats, self._shapes.count, which + 1)
+            rounds = jnp.where(retreats, 0, rounds)
+            is_out = jnp.where(ends & busy, clear, is_out)
+            return point, slot, rounds, share, step, is_out, busy & ~ends
+
+        none = jnp.zeros(asked.shape, jnp.int32)
+        begun = place_of(share, step)[0], none + self._shapes.count, none, share, step
+        end, *_, is_out, _ = while_busy(push, (*begun, jnp.zeros_like(asked), asked))
+        return end, is_out
 
     def _follow(
         self, world: World, point: Any, way: Any, asked: Array, in_skin: Any = False
@@ -336,8 +347,8 @@ class Contact:
 
         zero = jnp.zeros_like(duration)
         none = jnp.full_like(duration, jnp.inf)
-        begun = point, zero, duration, none, jnp.int32(0), asked
-        return jax.lax.while_loop(lambda now: jnp.any(now[-1]), advance, begun)[3]
+        begun = point, zero, duration, none, jnp.zeros(asked.shape, jnp.int32), asked
+        return while_busy(advance, begun)[3]
 
 
 class ObstacleContact:
@@ -397,7 +408,9 @@ class ObstacleContact:
         if obstacles.present.ndim == 1:  # one environment
             world = jax.tree.map(lambda values: values[..., None], obstacles)
         else:
-            world = jax.tree.map(lambda values: jnp.take(values, environment, axis=-1), obstacles)
+            world = jax.tree.map(
+                lambda values: jnp.take(values, environment, axis=-1, mode="clip"), obstacles
+            )
         return self._fields.shapes.with_edges(world)
 
     def _stop(self, world: World, given: Any) -> Any:

@@ -18,6 +18,7 @@ from ...obstacles.shape import ABSENT, AHEAD, BOUND, CONTACT_DEPTH, DETAILS, MID
 from ...obstacles.walls import _NUMBERS, _TRIES, BOX, _draw_layout
 from ...scenario.scenario import Scenario
 from ..arrays.array_form import Array, array_form, norm_of
+from ..arrays.loops import while_busy
 from ..arrays.random_streams import Word, numbers, uniform
 from ..arrays.selection import divided
 from .shapes import COARSE, EXACT, Shapes, World
@@ -90,24 +91,21 @@ class Fields:
             return numbers(key, counter, 1 + d, self._dtype).values
 
         def draw(now: Any) -> Any:
-            shapes, m, counter, tries, (share, *places) = now
-            busy = (m < count) & (tries < _TRIES_PER_OBSTACLE)
+            shapes, m, counter, tries, (share, *places), busy = now
             radius = low + (high - low) * share
             place = [rules.region * (one - 0.5) for one in places]
             row = jnp.stack([radius, *place, *[jnp.zeros_like(radius)] * (3 - d)])
             fits = busy & self._fits(row, shapes, indices < m, starts)
             shapes = jnp.where(((indices == m) & fits)[:, None], row, shapes)
             tries = jnp.where(fits, 0, tries + busy)
-            counter = counter + (1 + d) * busy
-            return shapes, m + fits, counter, tries, sampled(counter)
+            counter, m = counter + (1 + d) * busy, m + fits
+            busy = (m < count) & (tries < _TRIES_PER_OBSTACLE)
+            return shapes, m, counter, tries, sampled(counter), busy
 
         shapes = jnp.zeros((slots, DETAILS - AHEAD, *batch), self._dtype)
         zero = jnp.zeros(batch, jnp.int32)
-        shapes, m, *_ = jax.lax.while_loop(
-            lambda now: jnp.any((now[1] < count) & (now[3] < _TRIES_PER_OBSTACLE)),
-            draw,
-            (shapes, zero, zero + 1, zero, sampled(zero + 1)),
-        )
+        begun = shapes, zero, zero + 1, zero, sampled(zero + 1), count > 0
+        shapes, m, *_ = while_busy(draw, begun)
         none = jnp.zeros((slots, *batch), self._dtype)
         return World(jnp.asarray(indices) < m, _failed(shapes, m < count), none)
 
@@ -150,14 +148,13 @@ class Fields:
             return clear
 
         def retry(now: Any) -> Any:
-            trial, world, clear = now
-            trial = trial + ~clear
+            trial, world, busy = now
+            trial = trial + busy
             world = world_of_trial(trial)
-            return trial, world, is_clear(world) | (trial >= _TRIES)
+            return trial, world, ~is_clear(world) & (trial < _TRIES)
 
         first = world_of_trial(zero)
-        begun = zero, first, is_clear(first)
-        trial, world, _ = jax.lax.while_loop(lambda now: jnp.any(~now[2]), retry, begun)
+        trial, world, _ = while_busy(retry, (zero, first, ~is_clear(first)))
         return world._replace(shapes=_failed(world.shapes, trial >= _TRIES))
 
     def _skins(self, world: World) -> Array:
@@ -167,21 +164,16 @@ class Fields:
         gap, overlap = (self._tolerances.depth / CONTACT_DEPTH * x for x in (_GAP, _OVERLAP))
         if count < 2:
             return skins
-        centres = tuple(world.shapes[:, MIDDLE + k] for k in range(3))
-        for size in range(2, dim + 1):
-            if count < size:
-                break
+        for size in range(2, min(dim, count) + 1):
             groups = np.array(list(combinations(range(count), size)))
-            balls = [
-                (tuple(c[groups[:, k]] for c in centres), world.shapes[groups[:, k], BOUND])
-                for k in range(size)
-            ]
-            depth = _least_depth(balls)
-            meet = (depth > -overlap) & (depth < gap)
-            for k in range(size):
-                meet &= world.present[groups[:, k]]
-            for k in range(size):
-                skins = skins.at[groups[:, k]].max(jnp.where(meet, self._skin, 0.0))
+            rows = world.shapes[groups]  # (G, size, width, *batch)
+            centres = [tuple(rows[:, k, MIDDLE + axis] for axis in range(3)) for k in range(size)]
+            radii = [rows[:, k, BOUND] for k in range(size)]
+            depth = _least_depth(list(zip(centres, radii, strict=True)))
+            meet = (depth > -overlap) & (depth < gap) & jnp.all(world.present[groups], axis=1)
+            member = np.any(groups[..., None] == np.arange(count), axis=1)
+            member = member.reshape(*member.shape, *[1] * (meet.ndim - 1))
+            skins = jnp.where(jnp.any(meet[:, None] & member, axis=0), self._skin, skins)
         return skins
 
 

@@ -232,22 +232,26 @@ def _capsule_cone(rows: Any, corners: Any, point: Any, axes: Any, out: Any) -> N
     half = tuple(rows[capsule.AXIS + k] for k in range(3))
     radius, centre = rows[capsule.THICKNESS], array_form(centre_of_row)(rows)
     offset = tuple(c - p for c, p in zip(centre, point, strict=True))
-    shape = jnp.broadcast_shapes(offset[0].shape, e[0].shape)
+    cosines, sines = (
+        np.reshape(values, (8, *[1] * e[0].ndim)).astype(e[0].dtype)
+        for values in (COS_AZIMUTH, SIN_AZIMUTH)
+    )
+    aside = array_form(combine)(cosines, e, sines, w)  # (8, M, …), of all azimuths
+
+    def ray_at(angle: Any) -> Any:
+        return array_form(combine)(jnp.cos(angle), towards, jnp.sin(angle), aside)
+
+    def halve(_: Any, angles: Any) -> Any:
+        hits, misses = angles
+        angle = 0.5 * (hits + misses)
+        is_hit = array_form(capsule._is_hit)(ray_at(angle), offset, half, radius)
+        return jnp.where(is_hit, angle, hits), jnp.where(is_hit, misses, angle)
+
+    none = jnp.zeros(jnp.broadcast_shapes(offset[0].shape, aside[0].shape), offset[0].dtype)
+    hits, _ = jax.lax.fori_loop(0, capsule._HALVINGS, halve, (none, none + np.pi))
+    rays = ray_at(hits)
     for k in range(8):
-        aside = array_form(combine)(COS_AZIMUTH[k], e, SIN_AZIMUTH[k], w)
-
-        def ray_at(angle: Any, aside: Any = aside) -> Any:
-            return array_form(combine)(jnp.cos(angle), towards, jnp.sin(angle), aside)
-
-        def halve(_: Any, angles: Any, ray_at: Any = ray_at) -> Any:
-            hits, misses = angles
-            angle = 0.5 * (hits + misses)
-            is_hit = array_form(capsule._is_hit)(ray_at(angle), offset, half, radius)
-            return jnp.where(is_hit, angle, hits), jnp.where(is_hit, misses, angle)
-
-        none = jnp.zeros(shape, offset[0].dtype)
-        hits, _ = jax.lax.fori_loop(0, capsule._HALVINGS, halve, (none, none + np.pi))
-        out[k][:] = ray_at(hits)
+        out[k][:] = tuple(part[k] for part in rays)
 
 
 def _edges_of(rows: Any, corners: Any) -> PolygonEdges:
