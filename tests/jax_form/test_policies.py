@@ -4,7 +4,6 @@ import importlib
 
 import numpy as np
 import pytest
-from jax_programs import quickly_compiled
 from parameters import marked, slow
 from rendezvous_env.baselines.laws import paper_laws
 from rendezvous_env.baselines.learned import shipped
@@ -15,6 +14,8 @@ from rendezvous_env.baselines.obstacle_rules import planes_in_space
 
 import rendezvous_env as rv
 from rendezvous_env import baselines
+
+pytestmark = pytest.mark.usefixtures("less_optimised")
 
 TEAMS, SEED = 4, 3
 CASES = {
@@ -51,7 +52,7 @@ def test_policy_equals_its_numpy_form(case, jax_policies):
     env = rv.make_vec(scenario, num_envs=TEAMS, **fields)
     policy = baselines.make(name, env.unwrapped.scenario)
     form = jax_policies.make(name, env.unwrapped.scenario)
-    act, memory = quickly_compiled(form.act), form.begin((TEAMS,))
+    act, memory = jax.jit(form.act), form.begin((TEAMS,))
     (seen, _), begun = env.reset(seed=SEED), None
     # in 3-D before merges: rounding decides on the first plane of a robot with one neighbour
     anew = 30 if env.unwrapped.scenario.dim == 3 else 100
@@ -70,6 +71,7 @@ def test_policy_equals_its_numpy_form(case, jax_policies):
         assert old.shape == new.shape and old.dtype == new.dtype
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["learned", slow("learned-tank"), slow("recurrent")])
 def test_network_equals_numpy_actor(name, jax_policies):
     rng, learned = np.random.default_rng(0), jax_policies.learned
@@ -171,6 +173,7 @@ def _random_weights(rng, settings, layout):
     return {key: 0.3 * rng.standard_normal(shape) for key, shape in shapes.items()}
 
 
+@pytest.mark.slow
 def test_joined_intervals_equal_the_kernel(jax_policies):
     """Random silhouettes of all widths: rotated copies merge, wrap around and close."""
     intervals = importlib.import_module("rendezvous_env.baselines.jax.merged_intervals")
@@ -208,6 +211,7 @@ def test_make_names_what_has_no_jax_form(jax_policies):
     assert {"bearing-only", "tank-merged", "learned"} <= set(jax_policies.names())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["bearing-only", slow("tangent-merged-tuned"), slow("tank-merged")],
