@@ -1,6 +1,6 @@
-# make compare: the main job.  make test: linters, types, fast tests: every promise once.  Each sets
-# up .venv by itself; compare needs no extra, the others add all of them, as make install does.
-# make test-all: make test, then make test-slow, test-kernels and test-adapters.
+# make compare: the main job.  make test: ruff and fast tests, which check every promise once.  Each
+# sets up .venv by itself; compare needs no extra, the others add all of them, as make install does.
+# make test-all: make test and types, then make test-slow, test-kernels and test-adapters.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -18,7 +18,7 @@ SHARED := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
-.PHONY: compare install learners test test-all fast test-slow test-kernels test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install learners test test-all test-slow test-kernels test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
@@ -29,23 +29,20 @@ install: .venv/installed
 
 learners: $(LEARNERS:%=.venv-adapters/%/installed)
 
-test: .venv/installed
-	$(MAKE) --jobs=2 types fast
-
-fast: style
+test: style
 	$(BIN)/python -m pytest -q $(SHARED)
 
-# with --jobs=2 the learners' environments are installed while the fast tests run
-test-all: test learners
+# with --jobs=2 types are checked and learners' environments installed while the fast tests run
+test-all: test types learners
 	$(MAKE) test-slow
 	$(MAKE) test-kernels
 	$(MAKE) test-adapters
 
-# with the tests that run every kernel, once more: kernels come from the disk now
+# most kernels come from the disk, where make test left them
 test-slow: .venv/installed
-	$(BIN)/python -m pytest -q -m 'slow or kernels' $(SHARED)
+	$(BIN)/python -m pytest -q -m slow $(SHARED)
 
-# the same with every index checked; kernels that never ran are named and fail
+# the tests that run every kernel, with every index checked; kernels that never ran are named and fail
 test-kernels: .venv/installed
 	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m kernels --every-kernel $(SHARED)
 
@@ -61,7 +58,7 @@ test-pythons: $(PYTHONS:%=.venv-%/installed)
 # TorchRL with BenchMARL, and all others that have a folder in tests/adapters; slow tests too
 test-adapters: learners
 	$(MAKE) test-adapter-ros  # depends on the clock, so alone
-	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
+	$(MAKE) --jobs=3 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 
 $(LEARNERS:%=test-adapter-%): test-adapter-%: .venv-adapters/%/installed
 	.venv-adapters/$*/bin/python -m pytest -q -m 'slow or not slow' tests/adapters/$*

@@ -7,7 +7,7 @@ from . import laws, learned
 from .filtered_policies import HeadingPolicy, TankPolicy
 from .laws import literature_laws as field_laws
 from .laws import pursuit
-from .obstacle_rules import obstacle_avoidance, search_and_pursue, tank_policies
+from .obstacle_rules import mixed_rules, obstacle_avoidance, search_and_pursue, tank_policies
 from .policy import Policy, RealTimePolicy, make, names
 from .references import blind_policies, privileged_laws, privileged_planner
 from .robot_policy import RobotPolicy
@@ -15,8 +15,9 @@ from .trained_policy import TrainedPolicy
 
 __all__ = [
     "HeadingPolicy", "Policy", "RealTimePolicy", "RobotPolicy", "TankPolicy", "TrainedPolicy",
-    "blind_policies", "field_laws", "laws", "learned", "make", "names", "obstacle_avoidance",
-    "privileged_laws", "privileged_planner", "pursuit", "search_and_pursue", "tank_policies",
+    "blind_policies", "field_laws", "laws", "learned", "make", "mixed_rules", "names",
+    "obstacle_avoidance", "privileged_laws", "privileged_planner", "pursuit", "search_and_pursue",
+    "tank_policies",
 ]  # fmt: skip
 
 

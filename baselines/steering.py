@@ -37,7 +37,9 @@ Rounding to float32 then exceeds no limit, and commands equal the values used by
 
 turns = of_model("unicycle", "nonholonomic_3d")
 """True if a scenario's robots are unicycles or 3-D nonholonomic robots, whose frames rotate."""
-can_steer = of_model("single_integrator", "unicycle", "nonholonomic_3d")
+STEERED = "single_integrator", "unicycle", "nonholonomic_3d"
+"""Robot models that ``Steering`` supports."""
+can_steer = of_model(*STEERED)
 """True if ``Steering`` supports a scenario's robot model."""
 
 

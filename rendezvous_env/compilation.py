@@ -2,12 +2,13 @@
 
 import gc
 import inspect
+import operator
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial, wraps
-from types import FunctionType
+from types import BuiltinFunctionType, FunctionType
 from typing import Any, Literal
 
 import numba
@@ -18,14 +19,17 @@ from numba.core.dispatcher import OmittedArg
 from numba.core.errors import TypingError
 from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
+from numba.core.typing.context import Context
 from numba.extending import overload
 
-from .inner_code import load_environments, lower_inner_kernels
+from .inner_code import load_environments, passes_of_kernels
 from .kernel_cache import KernelCache, digest_of
 
 _CONFIG: Any = numba.config
 _DISPATCHER: Any = CPUDispatcher  # numba's types omit overridden methods
 _COMPILER: Any = Compiler
+_CONTEXT: Any = Context
+_FUNCTION: Any = types.Function
 _PATIENCE = 2.0  # s; longer total compilation is announced
 
 Inline = Literal["never", "code", "text"]
@@ -95,6 +99,59 @@ def _options(inline: Inline, *, allocates: bool = False, inner: bool = False) ->
     }
 
 
+class _Operator(_FUNCTION):
+    """Type of an operator, which remembers its signatures."""
+
+    def __init__(self, function: Any) -> None:
+        self.__dict__ = function.__dict__ | {"_known": {}}
+
+    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
+        """Signature for arguments."""
+        if (found := self._known.get(args)) is None:
+            found = self._known[args] = super().get_call_type(context, args, kws)
+        return found
+
+
+class _TypingContext(_CONTEXT):
+    """Numba's typing context, which remembers the signatures of operators and of its functions.
+
+    Otherwise each ``a + b`` would be matched with all implementations of ``+``, several times.
+    """
+
+    __slots__ = ("_known", "_operators")  # all else is shared
+
+    def __init__(self, context: Any) -> None:
+        self.__dict__ = context.__dict__  # type: ignore[misc]
+        self._known: dict[Any, Any] = {}
+        self._operators: dict[Any, Any] = {}
+
+    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
+        """Signature of a call."""
+        resolve = super().resolve_function_type
+        if kws or not isinstance(func, types.Function | BuiltinFunctionType):
+            return resolve(func, args, kws)
+        if (found := self._known.get((func, args))) is None:
+            found = self._known[func, args] = resolve(func, args, kws)
+        return found
+
+    def resolve_value_type(self, val: Any) -> Any:
+        """Type of a constant."""
+        if not isinstance(val, BuiltinFunctionType) or val.__module__ != operator.add.__module__:
+            return super().resolve_value_type(val)
+        if (found := self._operators.get(val)) is None:
+            found = self._operators[val] = _Operator(super().resolve_value_type(val))
+        return found
+
+
+@cache
+def _typing_context(context: Any, counts_references: bool) -> Any:
+    """Context for kernels that count references, or for those that do not.
+
+    numba compiles its functions separately for either.
+    """
+    return _TypingContext(context)
+
+
 class _KernelCompiler(_COMPILER):
     """Compiler of numba with symbol names derived from the content of a function.
 
@@ -105,12 +162,18 @@ class _KernelCompiler(_COMPILER):
     with_entry = True
     """False while a kernel is compiled for another one only: it gets no Python entry."""
 
+    def __init__(self, typing_context: Any, *given: Any) -> None:
+        super().__init__(typing_context, *given)
+        context = _typing_context(typing_context, self.state.flags.nrt)
+        # the target context is a copy for this compilation
+        self.state.typingctx = self.state.targetctx.typing_context = context
+
     def define_pipelines(self) -> Any:
         identity = self.state.func_id
         identity.unique_id = digest_of(identity.func, self.state.args)[:16]
         identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
         self.state.flags.no_cpython_wrapper |= not _KernelCompiler.with_entry
-        return lower_inner_kernels(super().define_pipelines())
+        return [passes_of_kernels()]
 
 
 OVERLOADED: Any = _options("code", inner=True) | {"pipeline_class": _KernelCompiler}

@@ -8,12 +8,12 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba import _dynfunc  # type: ignore[attr-defined]
+from numba.core import typed_passes, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, _LowerResult, compile_result
-from numba.core.compiler_machinery import register_pass
-from numba.core.typed_passes import NativeLowering
+from numba.core.compiler_machinery import PassManager, register_pass
 
-_LOWERING: Any = NativeLowering
+_LOWERING: Any = typed_passes.NativeLowering
 _LIBRARY: Any = JITCodeLibrary
 
 
@@ -58,14 +58,39 @@ class InnerLowering(_LOWERING):
         return True
 
 
-def lower_inner_kernels(pipelines: list[Any]) -> list[Any]:
-    """Pipelines of numba with its lowering replaced by ``InnerLowering``."""
-    for pipeline in pipelines:
-        steps = [(InnerLowering if a is _LOWERING else a, text) for a, text in pipeline.passes]
-        pipeline.passes[:] = steps
-        pipeline._finalized = False
-        pipeline.finalize()
-    return pipelines
+_PASSES: tuple[Any, ...] = (
+    untyped_passes.TranslateByteCode,
+    untyped_passes.FixupArgs,
+    untyped_passes.IRProcessing,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.GenericRewrites,
+    untyped_passes.RewriteDynamicRaises,
+    untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.InlineInlinables,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.ReconstructSSA,
+    typed_passes.NopythonTypeInference,
+    typed_passes.PreLowerStripPhis,
+    typed_passes.InlineOverloads,
+    typed_passes.IRLegalization,
+    InnerLowering,
+    typed_passes.NoPythonBackend,
+)
+"""Passes of numba that kernels need, in its order.
+
+Left out are those for comprehensions, array expressions, ``with``, ``literal_unroll``, parallel
+loops and annotated sources.
+"""
+
+
+def passes_of_kernels() -> PassManager:
+    """Passes that compile a kernel."""
+    manager = PassManager("kernel")
+    for one in _PASSES:
+        manager.add_pass(one, one.name())
+    manager.finalize()
+    return manager
 
 
 def rebuild(context: Any, library: Any, *parts: Any) -> Any:

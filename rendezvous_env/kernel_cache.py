@@ -59,7 +59,6 @@ class KernelCache:
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Compiled code for a signature; None if absent or damaged."""
-        target_context.refresh()
         if (path := self._paths[sig]) is None:
             return None
         try:
@@ -71,6 +70,7 @@ class KernelCache:
             if parts[_SIGNATURE].args != sig:  # from another class of the same name
                 return None
             os.utime(path)
+            target_context.refresh()
             return rebuild(target_context, *parts)
         except Exception:  # no file, or it references a class that no longer exists
             return None

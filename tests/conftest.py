@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from importlib import import_module
@@ -84,19 +84,26 @@ def use_own_temporary_folder(config: pytest.Config) -> None:
 
 LONG = (
     "test_random_scenarios", "test_installed", "test_batch_equals_singles", "test_unions",
-    "test_sensing_engine", "test_gradients", "test_paper", "test_guarantee_wrappers",
-    "test_interrupts", "test_examples", "test_same_experiment", "test_standalone",
-    "test_privileged_planner", "test_contacts_among_shapes", "test_kernel_cache", "test_site",
-    "test_research_scripts", "test_kernel_coverage", "test_fuzz_core", "test_fuzz_files",
-    "test_sensor_fit", "test_double_integrator", "test_docs", "test_every_policy",
-    "test_package", "test_resuming", "test_shipped",
+    "test_robot_policy", "test_gradients", "test_sensing_engine", "test_paper",
+    "test_guarantee_wrappers", "test_interrupts", "test_examples", "test_same_experiment",
+    "test_standalone", "test_policies", "test_robot_sensors", "test_privileged_planner",
+    "test_contacts_among_shapes", "test_kernel_cache", "test_site", "test_research_scripts",
+    "test_kernel_coverage", "test_fuzz_core", "test_fuzz_files", "test_sensor_fit",
+    "test_double_integrator", "test_transformations", "test_docs", "test_every_policy",
+    "test_package", "test_resuming", "test_workers", "test_shipped",
 )  # fmt: skip
 """Slowest test files in the order of distribution to two workers. Files with the same kernels are
 separated, or both workers would compile those."""
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order long files first, then by number of tests, so that no worker ends with a long file."""
+    """Mark combinations of parameters ``slow``, then order long files first.
+
+    Files with many tests come next, so that no worker ends with a long file.
+    """
+    for item in repeated_combinations(items):
+        item.add_marker(pytest.mark.slow)
     tests = Counter(item.path for item in items)
 
     def rank(item: pytest.Item) -> tuple[int, int]:
@@ -104,6 +111,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return LONG.index(name) if name in LONG else len(LONG), -tests[item.path]
 
     items.sort(key=rank)
+
+
+def repeated_combinations(items: list[pytest.Item]) -> Iterator[pytest.Item]:
+    """Tests whose parameters all occur in other fast tests of the same function."""
+    families = defaultdict(list)
+    for item in items:
+        if isinstance(item, pytest.Function) and not item.get_closest_marker("slow"):
+            # the names of its values, one for each decorator or fixture with parameters
+            names = item.callspec._idlist if hasattr(item, "callspec") else ()
+            families[item.nodeid.partition("[")[0]].append((item, set(enumerate(names))))
+    for family in families.values():
+        left = set().union(*(values for _, values in family))
+        while left:
+            best = max(family, key=lambda test: len(left & test[1]))
+            family.remove(best)
+            left -= best[1]
+        yield from (item for item, values in family if values)
 
 
 ROOT = Path(__file__).parent.parent
@@ -324,6 +348,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rj():
     """``rendezvous_env.jax`` with numbers in float64, as the engine's are."""
     jax = pytest.importorskip("jax")
-    # jax_disable_most_optimizations would compile faster, but computes other numbers
     with jax.enable_x64(True):
         yield import_module("rendezvous_env.jax")
+
+
+@pytest.fixture
+def less_optimised(request):
+    """Slow tests compile JAX programs in two thirds of the time; numbers differ by rounding."""
+    jax = pytest.importorskip("jax")
+    name, slow = "jax_disable_most_optimizations", bool(request.node.get_closest_marker("slow"))
+    jax.config.update(name, slow)
+    yield
+    jax.config.update(name, False)

@@ -17,6 +17,13 @@ def marked(
     ]
 
 
+def first_fast(values: Iterable[object], count: int = 1) -> list[object]:
+    """Values, or tuples of values, as parameters; all but the first get the marker ``slow``."""
+    values = list(values)
+    later = (value if isinstance(value, tuple) else (value,) for value in values[count:])
+    return [*values[:count], *(slow(*value) for value in later)]
+
+
 def slow(*values: object) -> object:
     """One set of parameters with the marker ``slow``."""
     return pytest.param(*values, marks=pytest.mark.slow)

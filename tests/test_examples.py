@@ -10,10 +10,11 @@ from train import results
 EXAMPLES = ROOT / "examples"
 
 
-def run(name, *words):
-    return run_python(ROOT, EXAMPLES / name, *words).stdout
+def run(name, *words, **environment):
+    return run_python(ROOT, EXAMPLES / name, *words, **environment).stdout
 
 
+@pytest.mark.slow
 def test_step_loop_and_custom_law_run():
     assert re.fullmatch(r"\d+ steps; met: True after \d\.\d\d s\n", run("01_step_loop.py"))
     law, fast = run("02_own_law.py").splitlines()
@@ -90,7 +91,8 @@ def test_jax_ppo_example_runs():
     program = (EXAMPLES / "15_jax_ppo.py").read_text(encoding="utf-8")
     assert len([line for line in program.splitlines() if line.strip()]) <= 200
     sizes = ("--updates", "2", "--report", "1", "--envs", "8", "--steps", "4", "--held-out", "8")
-    said = run("15_jax_ppo.py", "--scenario", "duo", *sizes)
+    quick = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}  # in compiling
+    said = run("15_jax_ppo.py", "--scenario", "duo", *sizes, **quick)
     from device_bench import RATE
 
     assert len(RATE.findall(said)) == 2

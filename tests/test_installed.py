@@ -42,33 +42,33 @@ def wheel(tmp_path_factory):
     return made
 
 
-def environment(folder, *requirements):
-    """Scripts folder of a new environment with only these packages and their dependencies.
+def install(scripts, *requirements):
+    """Install packages and their dependencies into an environment, given by its scripts folder.
 
     Everything comes from the package registry; without one the test is skipped.
     """
-    call(sys.executable, "-m", "venv", folder, cwd=folder.parent)
-    scripts = folder / "bin"
     options = ["-q", "--no-compile", "-c", ROOT / "constraints.txt"]
     python = scripts / "python"
-    done = run(python, "-m", "pip", "install", *options, *requirements, cwd=folder.parent)
+    done = run(python, "-m", "pip", "install", *options, *requirements, cwd=scripts)
     if NO_REGISTRY.search(done.stderr) and not os.environ.get("CI"):
         pytest.skip("the package registry cannot be reached")
     assert done.returncode == 0, done.stderr[-3000:]
-    return scripts
 
 
 @pytest.fixture(scope="module")
 def scripts(wheel, tmp_path_factory):
-    """Scripts folder of an environment with the wheel, without access to the test folder."""
-    return environment(tmp_path_factory.mktemp("installed") / "venv", wheel)
+    """Scripts folder of a new environment with the wheel, without access to the test folder."""
+    folder = tmp_path_factory.mktemp("installed") / "venv"
+    call(sys.executable, "-m", "venv", folder, cwd=folder.parent)
+    install(folder / "bin", wheel)
+    return folder / "bin"
 
 
 @pytest.fixture(scope="module")
-def training_scripts(wheel, tmp_path_factory):
-    """The same with the extra ``train``."""
-    folder = tmp_path_factory.mktemp("training") / "venv"
-    return environment(folder, "torch==2.13.0", f"{wheel}[train]")
+def training_scripts(wheel, scripts):
+    """The same with the extra ``train``, for the last tests of this file."""
+    install(scripts, "torch==2.13.0", f"{wheel}[train]")
+    return scripts
 
 
 USE = """

@@ -145,6 +145,7 @@ def test_commands_print_without_markup():
     assert {m for m in MODULES if "rich.console.Console" in imported_names(m)} == set()
 
 
+@pytest.mark.slow
 def test_short_names_are_not_used_internally():
     """Short names may refer to a user's files; the safe names never do."""
     for module in MODULES:
@@ -221,6 +222,7 @@ def test_arrays_need_no_pettingzoo(face):
     assert not [name for name in reached if "pettingzoo" in imports(name)]
 
 
+@pytest.mark.slow
 def test_train_import_is_light(tmp_path):
     code = (
         "import sys, train; light = not {'torch', 'stable_baselines3', 'rich'} & set(sys.modules);"

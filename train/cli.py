@@ -12,8 +12,9 @@ import io
 import os
 import sys
 import textwrap
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module, metadata
 from itertools import chain, pairwise
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -97,27 +98,30 @@ def _run(command: str, flags: Sequence[str]) -> int:
         Console(highlight=False).print(help_of(command, module), soft_wrap=True)
         return 0
     words = current_flags(flags, getattr(module, "FORMER_FLAGS", {}))
-    config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=words)
+    with printed_renamings():
+        config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=words)
     return int(module.run(config) or 0)
 
 
+@contextmanager
+def printed_renamings() -> Iterator[None]:
+    """Print warnings of deprecated policies, which Python hides from users by default."""
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.filterwarnings("always", "policy .* is called", DeprecationWarning)
+        yield
+    for warning in raised:
+        print(f"warning: {warning.message}", file=sys.stderr)
+
+
 def current_flags(words: Sequence[str], former: Mapping[str, str]) -> list[str]:
-    """Words of a command line without deprecated flags and policies.
-
-    Each replacement prints a warning.
-    """
-    from .checks import current_policy
-
+    """Words of a command line without deprecated flags; each replacement prints a warning."""
     current = []
     for word in words:
         name, equals, value = word.partition("=")
         if new := former.get(name.replace("_", "-")):
             print(f"warning: {name} is called {new} now", file=sys.stderr)
             word = new + equals + value
-        if (new := current_policy(word)) != word:
-            names = (one.rpartition("=")[2] for one in (word, new))
-            print("warning: policy {} is called {} now".format(*names), file=sys.stderr)
-        current.append(new)
+        current.append(word)
     return current
 
 

@@ -14,7 +14,7 @@ from rendezvous_env.jax.arrays.array_form import Array, array_form, total
 from rendezvous_env.robots.single_integrator import limit_factor
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.scenario import Scenario
-from rendezvous_env.scenario.scenarios import ScenarioLike
+from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from .. import policy as policies
 from .arrays import length_of, where
@@ -135,5 +135,9 @@ def make(name: str | os.PathLike[str], scenario: ScenarioLike, **options: Any) -
         raise NotImplementedError(
             f"policy {short_repr(name)} has no JAX form; use baselines.make, or one of "
             f"{', '.join(_FORMS)}"
+        )
+    if resolve(scenario).mixes_models:
+        raise NotImplementedError(
+            f"policy {short_repr(name)} of a mixed team has no JAX form; use baselines.make"
         )
     return _FORMS[str(kind)](policy)

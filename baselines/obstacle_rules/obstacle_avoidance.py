@@ -272,7 +272,6 @@ def _tangent_merged_certified(
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
 
 
-@register("tangent-merged-tuned", fits=can_pass_obstacles, kind="rule")
 class TunedMergedPolicy(CertifiedHeadingPolicy):
     """As tangent-merged-certified, tuned and persistent in its choice of side.
 

@@ -36,10 +36,10 @@ from rendezvous_env.safety.tank import (
 from rendezvous_env.safety.turning import Robot, mean_axis, robot_of, send_rates
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Float32, Mask, StatefulPolicy, register
+from ..policy import Float32, Mask, StatefulPolicy
 from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, inputs_towards
 from .merged_intervals_2d import TWO_PI, axis_is_clear, merged_interval_2d
-from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
+from .obstacle_avoidance import Array, check_clearance
 from .planes_in_space import axis_is_clear_3d, kept_azimuth, widened_rays
 
 SIDE, WORK, PATIENCE, SHORT, HEADING, ASIDE, MEMORY = 0, 1, 2, 3, 4, 7, 10
@@ -233,7 +233,6 @@ def _inputs(f, account, heading, free, pitch, settings, memory):
     return speed, rates
 
 
-@register("tank-merged", fits=can_pass_obstacles, kind="tank")
 class TankMergedPolicy(StatefulPolicy):
     """Wall following under an energy tank, on alternating sides with growing distance.
 
@@ -280,9 +279,11 @@ class TankMergedPolicy(StatefulPolicy):
         self._margin = check_margin(min_alignment)
         check_clearance(clearance)
         steering = self._steering = Steering(scenario)
-        self._unit = np.array(scenario.action_bounds if steering.turns else scenario.speed_limit)
+        robot = robot_of(scenario, 0.0 if steering.turns else self._margin)  # guarantees 8
+        bounds = robot.speed_limit, robot.gate.yaw_limit, robot.gate.pitch_limit
+        self._unit = np.array(bounds[: scenario.action_size] if steering.turns else bounds[0])
         self._settings = _Settings(
-            robot_of(scenario, 0.0 if steering.turns else self._margin),  # guarantees 8
+            robot,
             clearance=float(clearance) / (scenario.dim - 1),
             patience=positive("patience", patience, "m"),
             rounding=_ROUNDING * unit,

@@ -13,7 +13,7 @@ from ..obstacles import parsing
 from ..obstacles.moving import moves
 from ..obstacles.obstacle_set import ObstacleSet, pack, world_of
 from ..scenario.scenario import Scenario
-from ..sensors.effects import draws_noise
+from ..sensors.effects import has_memory
 from ..traffic.motion import STATE
 from .memory import N_FIELDS, LaneBlock, ScalarBlock
 
@@ -70,8 +70,9 @@ class MemoryLayout:
         sensing, n = self.scenario.sensing, self.scenario.n_robots
         pairs, silhouettes = n * (n - 1), n * self.n_obstacles * self.points
         remembers = sensing.largest("persistence") > 0.0
-        drifts = draws_noise(sensing) and sensing.noise_correlation > 0.0
-        held = self.scenario.observation_layout.obstacles.stop * (sensing.sample_period > 0.0)
+        drifts = bool(has_memory(sensing, n).any())
+        holds = sensing.largest("sample_period") > 0.0
+        held = self.scenario.observation_layout.obstacles.stop * holds
         return pairs * remembers, (pairs + silhouettes) * drifts, held
 
     @property

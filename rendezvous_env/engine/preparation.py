@@ -29,8 +29,15 @@ from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of, limits_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..scenario.start_region import triangles_of
-from ..sensors.effects import Effects, Redraws, effects_of, kept_share, redraws_of
-from ..sensors.imperfections import Imperfections, Views, imperfections_of, views_of
+from ..sensors.effects import (
+    Effects,
+    Redraws,
+    effects_of,
+    memory_of_errors,
+    redraws_of,
+    samples_of,
+)
+from ..sensors.imperfections import imperfections_of
 from .edge_tables import LinkList
 from .memory import Robot
 from .state import BatchState
@@ -59,7 +66,7 @@ class Constants(NamedTuple):
 class Sensor(NamedTuple):
     """Imperfect sensor."""
 
-    errors: Imperfections
+    errors: NDArray[np.float64]  # table of ``Imperfections``, a row for each robot
     listed: bool
     """True if the rows of a block are in the order of links, rather than of robots."""
     packed: bool
@@ -67,10 +74,8 @@ class Sensor(NamedTuple):
     effects: Effects | None
     observer_bias: NDArray[np.float64]  # of each robot, (n,), rad
     redraws: Redraws  # of the memory of detection
-    errors_kept: float  # of the memory of noise in a step, see ``effects``
-    samples_per_step: float  # 0 without a sample period
-    views: Views | None  # if they differ between robots
-    biases: NDArray[np.float64] | None  # if they differ between robots, (n,), rad
+    errors_kept: NDArray[np.float32]  # of the memory of noise, see ``memory_of_errors``
+    samples: NDArray[np.float64]  # in a step, (1,) or (n,); 0 without a sample period
     delays: NDArray[np.int64]  # of each robot, (n,), steps
 
 
@@ -98,8 +103,8 @@ def speed_limits_of(robot: Robot) -> NDArray[np.float64]:
 def sensor(state: BatchState) -> Sensor | None:
     """Sensor of a scenario's robots; None if it is exact."""
     scenario, place = state.scenario, state.place
-    sensing, tau = scenario.sensing, scenario.tau
-    errors = imperfections_of(sensing)
+    sensing, tau, n = scenario.sensing, scenario.tau, scenario.n_robots
+    errors = imperfections_of(sensing, n)
     if errors is None:
         return None
     in_order = place.neighbours == scenario.observation_layout.neighbour_slots
@@ -107,14 +112,12 @@ def sensor(state: BatchState) -> Sensor | None:
         errors=errors,
         listed=place.packed and in_order,
         packed=place.packed,
-        effects=effects_of(sensing, scenario.n_robots),
-        observer_bias=sensing.each("observer_bias", scenario.n_robots),
-        redraws=redraws_of(sensing, scenario.n_robots, tau),
-        errors_kept=kept_share(sensing.noise_correlation, tau),
-        samples_per_step=tau / sensing.sample_period if sensing.sample_period > 0.0 else 0.0,
-        views=views_of(sensing, scenario.n_robots),
-        biases=sensing.each("bias", scenario.n_robots) if "bias" in sensing.per_robot else None,
-        delays=sensing.delays(scenario.n_robots, tau),
+        effects=effects_of(sensing, n),
+        observer_bias=sensing.each("observer_bias", n),
+        redraws=redraws_of(sensing, n, tau),
+        errors_kept=memory_of_errors(sensing, n, tau),
+        samples=samples_of(sensing, n, tau),
+        delays=sensing.delays(n, tau),
     )
 
 

@@ -16,8 +16,6 @@ From the action to the new observation, over the blocks of one thread after anot
     sum_bearings                net bearings, for adversaries
     sense_discs, sense_shapes   angular extents of obstacles, clearance
     sense_indexed               instead of both, for many obstacles
-    limit_views                 range and field of view that differ between robots
-    turn_by_biases              constant errors that differ between robots
     apply_noise                 range, field of view, random errors
     remember_…                  memories of detection and of noise
     apply_effects               blind zone, detection, errors with a memory, outliers
@@ -49,12 +47,18 @@ from ..physics.random_streams import ignore_overflow
 from ..robots.activation import ActivationRules
 from ..robots.events import EventRules
 from ..robots.motion import frame_turns
-from ..sensors.imperfections import Imperfections, Views
+from ..sensors.imperfections import (
+    changes_lanes,
+    changes_silhouettes,
+    changes_singles,
+    columns_of,
+    table_of,
+)
 from .memory import Robot, is_near
 from .memory_layout import Scratch
 from .preparation import Constants, Sensor
 from .stages.apply_effects import apply_effects, turn_observers, turn_silhouettes
-from .stages.apply_noise import apply_noise, apply_noise_to_silhouettes
+from .stages.apply_noise import apply_noise, apply_noise_to_silhouettes, round_silhouettes
 from .stages.apply_occlusion import apply_occlusion, close_rows, delay_observations
 from .stages.collide import (
     merge_robots,
@@ -74,12 +78,6 @@ from .stages.conclude import conclude_step
 from .stages.move_obstacles import move_obstacles, settle_merged
 from .stages.propose import propose_motion, refresh_frames, update_robots
 from .stages.remember import hold_observations, remember_detection, remember_errors
-from .stages.robot_sensors import (
-    limit_views,
-    limit_views_of_silhouettes,
-    turn_by_biases,
-    turn_silhouettes_by_biases,
-)
 from .stages.sense_neighbours import hide_docked, sense_links, sense_pairs, update_links
 from .stages.sense_obstacles import (
     measure_clearance,
@@ -342,15 +340,13 @@ class StepStages:
     ) -> Iterator[Any]:
         state, robot, place = self._state, self._robot, self._state.place
         errors = sensor.errors
-        if sensor.effects is not None and sensor.effects.falloff > 0.0:
-            errors = errors._replace(half_field=math.pi)  # linear falloff ends at the edge
+        if sensor.effects is not None:  # linear falloff ends at the edge
+            own = columns_of(errors)
+            views = np.where(sensor.effects.falloffs > 0.0, math.pi, own.half_field)
+            errors = table_of(own._replace(half_field=views))
         blocks = first, last, moves, errors
         memory, streams = (work.keys, work.words), (state.seed, state.number)
-        if sensor.views is not None:
-            yield self._limit_views(first, last, sensor, sensor.views, work)
-        if sensor.biases is not None:
-            yield self._turn_by_biases(first, last, moves, sensor, sensor.biases, work)
-        if errors.over_lanes:
+        if changes_lanes(errors):
             given: tuple[Any, ...] = (
                 self._constants.neighbour_slots,
                 sensor.listed,
@@ -364,32 +360,6 @@ class StepStages:
         yield from self._apply_effects(first, last, moves, sensor, work)
         if self._has_obstacles:
             yield from self._apply_noise_to_silhouettes(first, last, moves, sensor, work)
-
-    def _limit_views(
-        self, first: int, last: int, sensor: Sensor, views: Views, work: Scratch
-    ) -> tuple[Any, ...]:
-        state, robot = self._state, self._robot
-        if sensor.effects is not None and sensor.effects.falloff > 0.0:
-            views = views._replace(half_fields=np.full_like(views.half_fields, math.pi))
-        shape = state.place.width, robot.axes, robot.entries, first, last
-        given = self._constants.neighbour_slots, sensor.listed, state.links, state.robots
-        lists = work.listed, work.numbers[0], work.counts
-        return limit_views, *shape, views, *given, *lists, _ROWS
-
-    def _turn_by_biases(
-        self,
-        first: int,
-        last: int,
-        moves: bool,
-        sensor: Sensor,
-        biases: NDArray[np.float64],
-        work: Scratch,
-    ) -> tuple[Any, ...]:
-        state, slots = self._state, self._constants.neighbour_slots
-        shape = state.place.width, self._robot.axes, first, last, moves, biases
-        given = slots, sensor.listed, state.links, state.seed, state.number, state.environments
-        lists = work.listed, work.numbers[0], work.counts
-        return turn_by_biases, *shape, *given, *lists, work.keys, work.words[0], _ROWS
 
     def _apply_effects(
         self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
@@ -415,7 +385,7 @@ class StepStages:
                 apply_effects,
                 *shape,
                 *blocks,
-                sensor.samples_per_step,
+                sensor.samples,
                 effects,
                 *given,
                 *now,
@@ -431,7 +401,7 @@ class StepStages:
             state = self._state
             streams = state.seed, state.number, state.environments
             given = (
-                sensor.samples_per_step,
+                sensor.samples,
                 sensor.observer_bias,
                 *rows,
                 *streams,
@@ -445,43 +415,22 @@ class StepStages:
         self, first: int, last: int, moves: bool, sensor: Sensor, work: Scratch
     ) -> Iterator[Any]:
         """Stages that change angular extents, in the order of neighbour rows: sectors come last."""
-        state, place, effects, errors = (
-            self._state,
-            self._state.place,
-            sensor.effects,
-            sensor.errors,
-        )
+        state, place, effects = self._state, self._state.place, sensor.effects
         own, points, n = place.neighbours, place.points, place.scenario.n_robots
-        streams, memory = (state.seed, state.number), (work.keys, work.words)
-
-        def noise(errors: Imperfections) -> Iterator[Any]:
-            if errors.changes_silhouettes:
-                given = own, points, *streams, state.environments, *memory, _ROWS
-                blocks = place.width, self._robot.axes, first, last, moves, errors
-                yield apply_noise_to_silhouettes, *blocks, *given
-
-        if sensor.views is not None:
-            shape = place.width, self._robot.axes, first, last
-            rows = own, points, self._state.batch
-            yield limit_views_of_silhouettes, *shape, sensor.views, *rows, _ROWS
-        if sensor.biases is not None:
-            yield from noise(errors._replace(noise=0.0, sectors=0))
-            errors = errors._replace(half_field=math.pi)
-            within = place.width, self._robot.axes, first, last, moves, sensor.biases, own, points
-            now = *streams, state.environments, work.keys, work.words[0]
-            yield turn_silhouettes_by_biases, *within, *now, _ROWS
-        turns = effects is not None and effects.turns
-        if not turns and sensor.observer_bias.max() == 0.0:
-            yield from noise(errors)
-            return
-        yield from noise(errors._replace(sectors=0))
+        shape, errors = (place.width, self._robot.axes), sensor.errors
+        streams = state.seed, state.number, state.environments
+        memory = work.keys, work.words
+        if changes_silhouettes(errors):
+            given = own, points, *streams, *memory, _ROWS
+            yield apply_noise_to_silhouettes, *shape, first, last, moves, errors, *given
         end = own + place.n_obstacles * points
         yield from self._turn_observers((own, end), (first, last, moves), sensor, work)
-        if turns:
-            given = effects, own, points, n * (n - 1), *streams, state.environments, state.errors
-            blocks = place.width, self._robot.axes, first, last, moves, sensor.samples_per_step
-            yield turn_silhouettes, *blocks, *given, *memory, _ROWS
-        yield from noise(errors._replace(half_field=math.pi, noise=0.0, bias=0.0))
+        if effects is not None and effects.drifts:
+            kept = effects, own, points, n * (n - 1), *streams, state.errors
+            blocks = *shape, first, last, moves, sensor.samples
+            yield turn_silhouettes, *blocks, *kept, *memory, _ROWS
+        if columns_of(errors).sectors.any():
+            yield round_silhouettes, *shape, first, last, errors, own, points, state.batch, _ROWS
 
     def _write_observations(self, first: int, last: int, work: Scratch) -> Iterator[Any]:
         state, robot, place = self._state, self._robot, self._state.place
@@ -499,7 +448,7 @@ class StepStages:
     ) -> Iterator[Any]:
         state, robot, rules, lanes = self._state, self._robot, self._constants, self._state.lanes
         slots, merged, seen = rules.neighbour_slots, state.merged_into, _OUTPUT.observations
-        if sensor.errors.one_by_one:
+        if changes_singles(sensor.errors):
             given: tuple[Any, ...] = (
                 sensor.errors,
                 rules.body_radii,
@@ -513,8 +462,8 @@ class StepStages:
             yield apply_occlusion, *shape, *given, *scene, *memory, seen
         if sensor.packed:
             yield close_rows, first * lanes, min(last * lanes, state.batch), slots, seen
-        if sensor.samples_per_step > 0.0:
-            given = moves, sensor.samples_per_step, merged, state.environments, state.held
+        if sensor.samples.max() > 0.0:
+            given = moves, sensor.samples, merged, state.environments, state.held
             yield hold_observations, lanes, first, last, *given, seen
         if state.past.shape[1] > 1:
             given = moves, sensor.delays, merged, state.environments, state.past

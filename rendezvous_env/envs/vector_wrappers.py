@@ -133,8 +133,11 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
         ended = terminations | truncations
         observations = self._view(None) if view is None else maybe_flatten(view, base.flatten)
         if add_final_info(observations, ended, infos, mode):
+            summed = self.filter.recalls(self._observed)
             self._autoreset(ended, infos)
-            observations[ended] = self._view(ended)[ended]
+            self._view_again(ended, observations)
+            if summed:
+                self.filter.recall_sums(self._observed)
         add_summary(infos)
         return observations, rewards, terminations, truncations, infos
 
@@ -158,6 +161,7 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
             view, callback = self._view_buffer()
             result = base.drive(controller, self._observed, self.decision_period, callback)
             self._observed = result.output.observations
+            self.filter.recall_sums(self._observed)
             rewards, robot_rewards, contact = result[1:]
             costs: Info = {}
         else:
@@ -261,8 +265,18 @@ class GuaranteeWrapper(FilterWrapperMixin, gymnasium.vector.VectorWrapper):
     def _view(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """Writable observations of the policy, (B, n, ...), updated for a mask (None: all)."""
         view = self.filter.observe(self._observed)
+        self.filter.recall_sums(self._observed)
         own = view.copy() if np.may_share_memory(view, self._observed) else view
         return maybe_flatten(own, self._base.flatten)
+
+    def _view_again(self, which: NDArray[np.bool_], observations: NDArray[np.float32]) -> None:
+        """Update the policy's observations of the given environments, which were reset."""
+        made = self.filter
+        if self._controller is made and made.changes_rows:
+            shown = observations.reshape(*self._observed.shape[:2], -1, self._observed.shape[3])
+            made.observe_again(which, self._observed, shown)
+        else:
+            observations[which] = self._view(which)[which]
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         """Clear the memory of the given environments (None: all)."""

@@ -132,7 +132,7 @@ class RendezvousJaxEnv:
         has_obstacles = scenario.observation_layout.obstacle_slots > 0
         self._fields = Fields(scenario, self._dtype) if has_obstacles else None
         self._starts = InitialConditionSampler(scenario, self._fields, self._dtype)
-        exact = imperfections_of(scenario.sensing) is None
+        exact = imperfections_of(scenario.sensing, n) is None
         self._sensor = None if exact else SensorModel(scenario)
         one_way = scenario.sensing_graph.directed
         self._merge = Merging(

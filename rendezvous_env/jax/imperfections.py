@@ -16,7 +16,7 @@ from ..graphs.edges import pair_index
 from ..physics.random_streams import SENSING
 from ..scenario.scenario import Scenario
 from ..sensors import chance
-from ..sensors.imperfections import imperfections_of, is_in_view, is_seen
+from ..sensors.imperfections import Imperfections, imperfections_of, is_in_view, is_seen
 from ..sensors.sensing import Sensing
 from .arrays.array_form import Array, array_form, replaces
 from .arrays.random_streams import Word, joined, mixed, stream_keys, wide, word_of
@@ -60,10 +60,11 @@ class SensorModel:
     """Imperfections of the sensors of a scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
-        errors = imperfections_of(scenario.sensing)
-        assert errors is not None
         n = scenario.n_robots
-        self._errors, self._dim, self._n = errors, scenario.dim, n
+        table = imperfections_of(scenario.sensing, n)
+        assert table is not None
+        self._errors = Imperfections(*table[0].tolist())  # of all robots
+        self._dim, self._n = scenario.dim, n
         self._slots = scenario.observation_layout.obstacle_slots
         self._points = scenario.observation_layout.rows_per_obstacle
         pairs = [[pair_index(min(i, j), max(i, j), n) if i != j else 0 for j in range(n)]

@@ -6,7 +6,7 @@ from ..compilation import inner_kernel, kernel
 from ..engine.memory import read, write
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, load_pair, split, store, without
-from .robot_lanes import LANES, lanes_of, sum_rows
+from .robot_lanes import LANES, keep_sums, lanes_of, sum_rows, weigh_rows
 
 FRAMES = ("net_bearing", "local")
 _1, _2, _3, _4, _5, _6, _7 = map(np.uint64, range(1, 8))
@@ -23,7 +23,7 @@ def look_along_net_bearing(axes, robots, robot, arrays, work):
 
         row ← Fᵀ row,   F = (f/‖f‖, …)
 
-    Where ‖f‖ < δ the last frame is kept.
+    Where ‖f‖ < δ the last frame is kept. In the plane f is stored for ``recall_sums``, if wanted.
     """
     observations, frames, seen = arrays
     if len(axes) == 2:
@@ -87,11 +87,17 @@ def _turned(along, across, x, y):
 @inner_kernel(inline="code")
 def _aim_in_plane(axes, observations, robot, frames, first, stop, work):
     """Right-handed planar frames with x along f; columns are axes in the local frame."""
-    numbers, _ = work
+    numbers, room, sums = work
     if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
     lanes = lanes_of(numbers)
-    sum_rows(axes, observations[first:stop], robot.neighbour_slots, lanes.f)
+    rows, slots = observations[first:stop], robot.neighbour_slots
+    if len(sums) == 3 and sums.shape[1] > 0:
+        weigh_rows(axes, rows, slots, room, lanes.f, lanes.degree)
+    else:
+        sum_rows(axes, rows, slots, lanes.f)
+    if sums.shape[1] > 0:
+        keep_sums(lanes, first, stop, sums)
     for lane in range(LANES):
         strength, towards = split(read(lanes.f, lane, axes))
         write(towards, lanes.heading, lane)

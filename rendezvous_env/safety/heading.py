@@ -33,6 +33,7 @@ from .robot_lanes import (
     end_of_run,
     give_out,
     lanes_of,
+    recall_sums,
     report,
     sum_rows,
     take_in,
@@ -253,7 +254,7 @@ class _Constants(NamedTuple):
 @kernel
 def _steer(axes, robots, constants, arrays, work):
     """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
-    numbers, room = work
+    numbers, room, sums = work
     if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
     observations, held, headings, actions, alignment, lyapunov_rate = arrays
@@ -263,7 +264,9 @@ def _steer(axes, robots, constants, arrays, work):
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         rows = observations[first:stop]
-        if weighs:
+        if sums.shape[1] > 0:
+            recall_sums(sums, first, stop, lanes)
+        elif weighs:
             weigh_rows(axes, rows, robot.neighbour_slots, room, lanes.f, lanes.degree)
         else:
             sum_rows(axes, rows, robot.neighbour_slots, lanes.f)
@@ -420,6 +423,7 @@ class HeadingFilter(SafetyFilter):
         self._heading_rate = most if given is None else min(most, given)
         scaled_speed = certified and (turns_body or scenario.tau > scenario.certified_step)
         max_turn = self._heading_rate * scenario.tau
+        self._make_sums(weighs=scaled_speed or robot.error_chord > 0.0)
         self._constants = _Constants(robot, scaled_speed, certified, max_turn)
         self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
         """Headings h_i, (B, n, d), in the robots' frames; zero if none yet."""
@@ -452,7 +456,8 @@ class HeadingFilter(SafetyFilter):
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * float(elapsed))
         memory, told = (self._held, self.carried), (self.alignment, self.lyapunov_rate)
-        return over_robots(act, part, constants, observations, *memory, actions, *told, *mixed)
+        given, sums = (act, part, constants, observations), self._sums_of(observations)
+        return over_robots(*given, *memory, actions, *told, *mixed, sums=sums)
 
 
 register_filter("heading", HeadingFilter)

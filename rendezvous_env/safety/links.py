@@ -240,7 +240,8 @@ def asymmetric_sight(scenario: Scenario) -> str:
     if sensing.detection:
         return f"sensing.detection is {sensing.detection}; {needs}: it must be empty"
     if sensing.occlusion != "none":
-        return f"sensing.occlusion is {sensing.occlusion!r}; {needs}: it must be 'none'"
+        given = sensing.list_given("occlusion") or sensing.occlusion
+        return f"sensing.occlusion is {given!r}; {needs}: it must be 'none'"
     return ""
 
 

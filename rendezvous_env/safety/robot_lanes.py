@@ -151,6 +151,27 @@ def weigh_rows(axes, observations, neighbour_slots, room, f, degree):
             degree[lane] += norm(row)
 
 
+@inner_kernel(inline="code")
+def keep_sums(lanes, first, stop, sums):
+    """Copy f, m/s, of robots in the plane from lanes to ``sums``, (2, N), and D to a third row."""
+    tell(lanes.f[0], first, stop, sums[0])
+    tell(lanes.f[1], first, stop, sums[1])
+    if len(sums) == 3:
+        tell(lanes.degree, first, stop, sums[2])
+
+
+@inner_kernel(inline="code")
+def recall_sums(sums, first, stop, lanes):
+    """Inverse of ``keep_sums``."""
+    x, y = sums[0][first:stop], sums[1][first:stop]
+    for lane in range(len(x)):
+        lanes.f[0, lane], lanes.f[1, lane] = x[lane], y[lane]
+    if len(sums) == 3:
+        degree = sums[2][first:stop]
+        for lane in range(len(degree)):
+            lanes.degree[lane] = degree[lane]
+
+
 @inner_kernel
 def _copy_pairs(pairs, stride, count, beside):
     """Copy the first ``count`` of ``stride`` rows of robots, flat, to row k of lane l, k LANES + l.

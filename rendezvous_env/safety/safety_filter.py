@@ -5,7 +5,8 @@ Filters use the robots' own observations only: no positions, no global frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial
 from typing import Any
 
@@ -42,21 +43,29 @@ def over_teams(
     threads.share(calls_of, num_envs, max(1, most))
 
 
+NO_SUMS = np.zeros((3, 0))
+"""Sums of rows that are not known."""
 _entry_points: dict[tuple[Any, type, np.dtype[Any], int], Callable[..., Any]] = {}
 
 
 def over_robots(
-    kernel: Any, part: Slice, constants: Any, *arrays: NDArray[Any], work: Any = None
+    kernel: Any,
+    part: Slice,
+    constants: Any,
+    *arrays: NDArray[Any],
+    sums: NDArray[np.float64] = NO_SUMS,
+    work: Any = None,
 ) -> Calls:
     """Call of a kernel for the robots of a slice.
 
     Its arguments are axes, (0, 1) or (0, 1, 2), the range of robots, constants, flat views of
     ``arrays`` (B, n, ...) of any unit, observations first, and working memory, by default for
-    ``lanes_of`` and rows.
+    ``lanes_of`` and rows, with ``sums`` of rows.
     """
     rows, d = arrays[0].shape[2:]
     robots, flat = by_robot(part, arrays)
-    arguments = (0, 1, 2)[:d], robots, constants, flat, room_for(rows, d) if work is None else work
+    work = (*room_for(rows, d), sums) if work is None else work
+    arguments = (0, 1, 2)[:d], robots, constants, flat, work
     kind = kernel, type(constants), arrays[0].dtype, d  # all other types follow from these
     if (run := _entry_points.get(kind)) is None:
         run = _entry_points[kind] = entry_point(kernel, arguments)
@@ -95,6 +104,14 @@ def _look_of_some(axes, robots, robot, arrays, work):
             given = observations, frames, seen
             look_along_net_bearing(axes, (first, stop), robot, given, work)
         first = stop
+
+
+@kernel
+def _look_of_teams(axes, robots, constants, arrays, work):
+    """``look_along_net_bearing`` of the robots of some environments, by number."""
+    robot, n, teams = constants
+    for team in teams:
+        look_along_net_bearing(axes, (team * n, (team + 1) * n), robot, arrays, work)
 
 
 def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
@@ -180,6 +197,9 @@ class SafetyFilter(StatefulMixin):
     reuses_calls = False  # whether calls can be made again in further steps, with the same arrays
     state_key = "filter"  # key of its memory in a wrapper's state
     observes_level = False  # whether ``observe`` adds a row with the robot's stored energy
+    _sums = NO_SUMS  # f_x, f_y, and D if wanted, m/s, of the robots in the last observations
+    _summed: Float32 | None = None  # the array of these observations
+    _recalled: Float32 | None = None  # the same, if ``apply_calls`` may use ``_sums``
 
     def __init__(
         self,
@@ -235,6 +255,7 @@ class SafetyFilter(StatefulMixin):
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
+        self._summed = self._recalled = None
         self._frames[which] = np.eye(self.scenario.dim)
         self.alignment[which], self.lyapunov_rate[which] = np.nan, 0.0
 
@@ -250,23 +271,80 @@ class SafetyFilter(StatefulMixin):
         over_teams(lambda part: self.observe_calls(part, observations, shown), *self._batch)
         return shown
 
+    @property
+    def changes_rows(self) -> bool:
+        """True if the policy's observations differ from those of the environments."""
+        return self.along_net_bearing or self.observes_level
+
     def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
         """Buffer for ``observe_calls``; None if observations are passed unchanged."""
-        if not (self.along_net_bearing or self.observes_level):
+        if not self.changes_rows:
             return None
         num_envs, n, rows, d = self._seen
         return np.empty((num_envs, n, rows + self.observes_level, d), dtype)
 
     def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
         """As ``observe``, into memory of ``new_view``, for a slice."""
-        if self.along_net_bearing:
-            arrays = observations, self._frames, shown
-            if self.mixes_models:
-                mixed = _look_of_some, part, self._robot, *arrays, self._turning
-                return over_robots(*mixed)
-            return over_robots(look_along_net_bearing, part, self._robot, *arrays)
         mine = slice(*part[:2])
-        return [partial(np.copyto, shown[mine, :, : self._seen[2]], observations[mine])]
+        if self.along_net_bearing:
+            calls = self._look_calls(part, observations, shown)
+        else:
+            rows = shown[mine, :, : self._seen[2]]
+            calls = [partial(np.copyto, rows, observations[mine])]
+        return [*calls, *self._level_calls(mine, shown)]
+
+    def observe_again(
+        self, which: NDArray[np.bool_], observations: Float32, shown: Float32
+    ) -> None:
+        """As ``observe_calls``, where observations have changed: environments of a mask, (B,)."""
+        plain = type(self).observe_calls is SafetyFilter.observe_calls
+        if plain and self.along_net_bearing and not self.mixes_models:
+            teams = np.flatnonzero(which)
+            calls = self._look_calls((0, len(which), 0), observations, shown, teams)
+            calls = [*calls, *self._level_calls(teams, shown)]
+        else:
+            calls = self.observe_calls((0, len(which), 0), observations, shown)
+        for one in calls:
+            one()
+
+    def _look_calls(
+        self, part: Slice, observations: Float32, shown: Float32, teams: Any = None
+    ) -> Calls:
+        """Call that updates frames and rotates rows of a slice, or of some environments in it."""
+        arrays = observations, self._frames, shown
+        self._summed = observations if observations.dtype == np.float32 else None
+        sums = NO_SUMS if self._summed is None else self._sums
+        if teams is not None:
+            constants = self._robot, shown.shape[1], teams
+            return over_robots(_look_of_teams, part, constants, *arrays, sums=sums)
+        if self.mixes_models:
+            mixed = _look_of_some, part, self._robot, *arrays, self._turning
+            return over_robots(*mixed, sums=sums)
+        return over_robots(look_along_net_bearing, part, self._robot, *arrays, sums=sums)
+
+    def _level_calls(self, teams: Any, shown: Float32) -> Calls:
+        """Calls that add the row of stored energy, for a slice or indices of environments."""
+        return ()
+
+    def _make_sums(self, *, weighs: bool) -> None:
+        """Allocate ``_sums`` for ``apply_calls`` that sum rows, with D if they ``weigh`` them."""
+        if self.scenario.dim == 2 and self.along_net_bearing:
+            self._sums = np.zeros((3 if weighs else 2, math.prod(self._batch[:2])))
+
+    def recall_sums(self, observations: Float32) -> None:
+        """Let the next ``apply_calls`` use the sums of rows of the last ``observe_calls``.
+
+        The array must not change until then.
+        """
+        self._recalled = observations if observations is self._summed else None
+
+    def recalls(self, observations: Float32) -> bool:
+        """True if the sums of these observations' rows are known."""
+        return observations is self._recalled
+
+    def _sums_of(self, observations: Float32) -> NDArray[np.float64]:
+        """Sums of the observations' rows; empty if they are not known."""
+        return self._sums if self.recalls(observations) else NO_SUMS
 
     @cached_property
     def choice_mask(self) -> NDArray[np.bool_]:
@@ -295,6 +373,10 @@ class SafetyFilter(StatefulMixin):
         else:
             self._held[...] = given
 
+    def __getstate__(self) -> dict[str, Any]:
+        """State for pickle and deepcopy, without known sums."""
+        return vars(self) | {"_summed": None, "_recalled": None}
+
     def apply(
         self,
         observations: Float32,
@@ -320,6 +402,7 @@ class SafetyFilter(StatefulMixin):
 
     def compute(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Actions (B, n, a) under the choices ``held``; called by ``apply``, to be overridden."""
+        self._recalled = None  # a caller may have changed the array
         seen = check_observations(observations, self._seen)
         observations = np.ascontiguousarray(seen, np.float32)
         actions = np.zeros(self._acted, dtype=np.float32)
@@ -377,6 +460,11 @@ class SafetyFilter(StatefulMixin):
         """
         own, names = type(self), ("apply", "compute", "observe", "update")
         return all(getattr(own, name) is getattr(SafetyFilter, name) for name in names)
+
+    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
+        """As ``StatefulMixin.set_state``."""
+        super().set_state(state)
+        self._summed = self._recalled = None
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``StatefulMixin.check_state``; frames must be rotations."""

@@ -62,17 +62,24 @@ def check_bearing_error(bearing_error: Any) -> float:
 
 
 def bounded_error(sensing: Sensing, dim: int) -> float:
-    """Maximum bearing error of a sensor, a number, rad; unbounded for noise and bias.
+    """Maximum bearing error of a team's sensors, a number, rad; unbounded for noise and bias.
 
     η = error + π/sectors ≤ π;   in 3-D √((π/S)² + e²) for the sectors, e the most in elevation
     """
-    if sensing.sectors is None:
-        return sensing.error
-    rounded = math.pi / sensing.sectors
+    count = max(len(sensing.list_given(name) or [0]) for name in ("error", "sectors"))
+    errors, sectors = (sensing.each(name, count).tolist() for name in ("error", "sectors"))
+    return max(_largest_error(*own, dim) for own in zip(errors, sectors, strict=True))
+
+
+def _largest_error(error: float, sectors: float, dim: int) -> float:
+    """``bounded_error`` of one robot; 0 sectors are exact."""
+    if sectors == 0.0:
+        return error
+    rounded = math.pi / sectors
     if dim == 3:
-        highest = math.floor(sensing.sectors / 4.0 + 1e-9) * 2.0 * rounded
+        highest = math.floor(sectors / 4.0 + 1e-9) * 2.0 * rounded
         rounded = math.hypot(rounded, max(rounded, math.pi / 2.0 - highest))
-    return min(sensing.error + rounded, math.pi)
+    return min(error + rounded, math.pi)
 
 
 def error_chord(bearing_error: float) -> float:

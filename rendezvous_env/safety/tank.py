@@ -22,7 +22,7 @@ from ..robots.single_integrator import limit_factor, speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, end_of_run, lanes_of, report, take_in, tell, weigh_rows
+from .robot_lanes import LANES, end_of_run, lanes_of, recall_sums, report, take_in, tell, weigh_rows
 from .safety_filter import Float32, SafetyFilter, check_inputs, over_robots, register_filter
 from .settings import TANK_MARGIN, check_margin, levels_follow_v
 from .turning import desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
@@ -89,7 +89,7 @@ def _spend(axes, robots, robot, arrays, work):
 
     Robots without a visible neighbour stop at no cost.
     """
-    numbers, room = work
+    numbers, room, sums = work
     if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
     observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
@@ -99,7 +99,10 @@ def _spend(axes, robots, robot, arrays, work):
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         rows = observations[first:stop]
-        weigh_rows(axes, rows, robot.neighbour_slots, room, lanes.f, lanes.degree)
+        if sums.shape[1] > 0:
+            recall_sums(sums, first, stop, lanes)
+        else:
+            weigh_rows(axes, rows, robot.neighbour_slots, room, lanes.f, lanes.degree)
         take_in(axes, held, first, stop, lanes.choice)
         level = levels[first:stop]
         for lane in range(len(level)):
@@ -330,6 +333,7 @@ class EnergyTank(SafetyFilter):
         check_inputs(scenario, "law (4)", bodies=True)
         super().__init__(scenario, num_envs, scenario.action_size, frame, num_threads)
         self._robot = robot_of(scenario, check_margin(min_alignment), bearing_error)
+        self._make_sums(weighs=True)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
         team = num_envs, scenario.n_robots
@@ -362,15 +366,13 @@ class EnergyTank(SafetyFilter):
         self._levels[which], self._deposits[which] = self.budget, 0.0
         self._linked[which] = self.carried_out[which] = False
 
-    def observe_calls(self, part: Slice, observations: Float32, shown: Float32) -> Calls:
-        """As ``SafetyFilter.observe_calls``; the last row is the stored energy."""
-        calls, mine = super().observe_calls(part, observations, shown), slice(*part[:2])
-        return [*calls, partial(self._show_levels, mine, shown)] if self.observes_level else calls
+    def _level_calls(self, teams: Any, shown: Float32) -> Calls:
+        return [partial(self._show_levels, teams, shown)] if self.observes_level else ()
 
-    def _show_levels(self, mine: slice, shown: Float32) -> None:
-        levels = self._levels[mine] / unit_of_tanks(self.scenario)
-        shown[mine, :, -1] = 0.0
-        shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
+    def _show_levels(self, teams: Any, shown: Float32) -> None:
+        levels = self._levels[teams] / unit_of_tanks(self.scenario)
+        shown[teams, :, -1] = 0.0
+        shown[teams, :, -1, 0] = np.minimum(levels, _LARGEST)
 
     def apply_calls(
         self, part: Slice, observations: Float32, actions: Float32, elapsed: float | None = None
@@ -382,7 +384,8 @@ class EnergyTank(SafetyFilter):
         memory = self._held, self._levels, actions, self._linked
         if self.mixes_models:
             act, told = _spend_by_model, (*told, self._turning)
-        return over_robots(act, part, self._robot, observations, *memory, *told)
+        given, sums = (act, part, self._robot, observations), self._sums_of(observations)
+        return over_robots(*given, *memory, *told, sums=sums)
 
     def update_calls(self, part: Slice, contact: Any, merged_into: Any, resting: Any) -> Calls:
         """As ``SafetyFilter.update_calls``; a step truncated by a merge counts as commanded."""

@@ -37,57 +37,61 @@ class Effects(NamedTuple):
     detects: bool  # whether the probability of detection is drawn here, rather than dropout alone
     remembers: bool  # whether detection has a memory
     distances: NDArray[np.float64]  # of tables of detection, (1 or n, points), m
-    chances: NDArray[np.float64]  # likewise, with a dropout that all robots share
-    kept: NDArray[np.float64]  # (n,), 1 − dropout where it differs between robots, else 1
+    chances: NDArray[np.float64]  # likewise, with the dropout of robots that draw detection here
     half_fields: NDArray[np.float64]  # (n,), rad; inf for a view without an edge
-    falloff: float  # rad; 0 is a hard edge
-    turns: bool  # whether noise is drawn here
+    falloffs: NDArray[np.float64]  # (n,), rad; 0 is a hard edge
     drifts: bool  # whether noise has a memory
-    levels: NDArray[np.float32]  # (n,), of noise, rad
+    levels: NDArray[np.float32]  # (n,), of noise with a memory, rad
     replaces: bool  # whether there are outliers
     outliers: NDArray[np.float64]  # their probability for each robot, (n,)
-    uniform: bool  # whether outliers are uniform, rather than another robot's bearing
+    uniform: NDArray[np.bool_]  # (n,), whether outliers are uniform, or else of another robot
 
 
-def draws_detection(sensing: Sensing) -> bool:
-    """True if detection differs from independent dropout."""
-    measured = bool(sensing.detection) or max(sensing.view_falloff, sensing.largest("persistence"))
-    return bool(measured) or isinstance(sensing.dropout, tuple)
+def draws_detection(sensing: Sensing, n_robots: int) -> NDArray[np.bool_]:
+    """Mask of the robots whose detection differs from independent dropout, (n,)."""
+    measured = np.array([bool(table) for table in sensing.tables(n_robots)])
+    return measured | (falloffs_of(sensing, n_robots) > 0.0) | (
+        sensing.each("persistence", n_robots) > 0.0
+    )  # fmt: skip
 
 
-def draws_noise(sensing: Sensing) -> bool:
-    """True if noise differs from white noise of one level."""
-    differs = isinstance(sensing.noise, tuple) or sensing.noise_correlation > 0.0
-    return differs and sensing.largest("noise") > 0.0
+def falloffs_of(sensing: Sensing, n_robots: int) -> NDArray[np.float64]:
+    """Width of the border of each robot's field of view, (n,), rad; 0 without an edge."""
+    views, falloffs = (sensing.each(name, n_robots) for name in ("field_of_view", "view_falloff"))
+    return np.where(views < 2.0 * math.pi, falloffs, 0.0)
+
+
+def has_memory(sensing: Sensing, n_robots: int) -> NDArray[np.bool_]:
+    """Mask of the robots whose noise has a memory, (n,)."""
+    correlated = sensing.each("noise_correlation", n_robots) > 0.0
+    return correlated & (sensing.each("noise", n_robots) > 0.0)
 
 
 def effects_of(sensing: Sensing, n_robots: int) -> Effects | None:
     """Constants of a sensor's effects for kernels; None without effects."""
-    detects, turns = draws_detection(sensing), draws_noise(sensing)
+    detects, drifts = draws_detection(sensing, n_robots), has_memory(sensing, n_robots)
     nearest = sensing.each("min_range", n_robots)
     outliers = sensing.each("outliers", n_robots)
-    if not (detects or turns) and max(nearest.max(), outliers.max()) == 0.0:
+    if not detects.any() and not drifts.any() and max(nearest.max(), outliers.max()) == 0.0:
         return None
-    tables = _of_equal_length(sensing.tables(n_robots if "detection" in sensing.per_robot else 1))
-    levels = sensing.each("noise", n_robots) if turns else np.zeros(n_robots)
-    kept, views = 1.0 - sensing.each("dropout", n_robots), sensing.each("field_of_view", n_robots)
-    differs = isinstance(sensing.dropout, tuple)
+    kept = np.where(detects, 1.0 - sensing.each("dropout", n_robots), 1.0)
+    differs = "detection" in sensing.per_robot or kept.min() < kept.max()
+    tables = _of_equal_length(sensing.tables(n_robots if differs else 1))
+    views = sensing.each("field_of_view", n_robots)
     return Effects(
         blind=bool(nearest.max() > 0.0),
         nearest=nearest,
-        detects=detects,
-        remembers=detects and sensing.largest("persistence") > 0.0,
+        detects=bool(detects.any()),
+        remembers=sensing.largest("persistence") > 0.0,
         distances=tables[:, :, 0].copy(),
-        chances=tables[:, :, 1] * (1.0 if differs else kept[0]),
-        kept=kept if differs else np.ones(n_robots),
+        chances=tables[:, :, 1] * kept[: len(tables), None],
         half_fields=np.where(views < 2.0 * math.pi, 0.5 * views, math.inf),
-        falloff=sensing.view_falloff,
-        turns=turns,
-        drifts=turns and sensing.noise_correlation > 0.0,
-        levels=levels.astype(np.float32),
+        falloffs=falloffs_of(sensing, n_robots),
+        drifts=bool(drifts.any()),
+        levels=np.where(drifts, sensing.each("noise", n_robots), 0.0).astype(np.float32),
         replaces=bool(outliers.max() > 0.0),
         outliers=outliers,
-        uniform=sensing.outlier_kind == "uniform",
+        uniform=sensing.among("outlier_kind", n_robots, "uniform"),
     )
 
 
@@ -104,6 +108,18 @@ def _of_equal_length(tables: list[tuple[tuple[float, float], ...]]) -> NDArray[n
 def kept_share(time_constant: float, tau: float) -> float:
     """Factor k = exp(−τ/T), a number, of a step τ and a time constant T, s; 0 if T is 0."""
     return math.exp(-tau / time_constant) if time_constant > 0.0 else 0.0
+
+
+def memory_of_errors(sensing: Sensing, n_robots: int, tau: float) -> NDArray[np.float32]:
+    """Factors k and √(1 − k²) of the noise of each robot in a step τ, s, (n, 2)."""
+    kept = [kept_share(time, tau) for time in sensing.each("noise_correlation", n_robots).tolist()]
+    return np.array([(k, math.sqrt(1.0 - k * k)) for k in kept], np.float32)
+
+
+def samples_of(sensing: Sensing, n_robots: int, tau: float) -> NDArray[np.float64]:
+    """Samples in a step τ, s, of each robot, (n,), or of all, (1,); 0 without a sample period."""
+    periods = sensing.each("sample_period", n_robots if "sample_period" in sensing.per_robot else 1)
+    return np.array([tau / period if period > 0.0 else 0.0 for period in periods.tolist()])
 
 
 class Redraws(NamedTuple):

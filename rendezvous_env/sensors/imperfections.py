@@ -1,7 +1,7 @@
 """Sensor imperfections, and their effect on individual rows.
 
-An imperfection is a setting in ``sensing.py``. Here it has a constant of ``Imperfections``, its
-value in ``imperfections_of`` and its equation. ``neighbour_seen`` combines them. The stage
+An imperfection is a setting in ``sensing.py``. Here it has a field of ``Imperfections``, its value
+in ``imperfections_of`` and its equation. ``neighbour_seen`` combines them. The stage
 ``apply_noise`` applies range, field of view and noise over lanes.
 
 Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs or triples; rotations keep their
@@ -9,7 +9,7 @@ length.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,78 +28,81 @@ from ..physics.vectors import (
     to_local,
     triple,
 )
-from .effects import draws_detection, draws_noise
+from .effects import draws_detection, has_memory
 from .sensing import Sensing
 
 _NEARLY_PARALLEL = 1e-9  # sine of the angle below which two directions are parallel
 
 
 class Imperfections(NamedTuple):
-    """Sensor imperfections of an environment for kernels; see ``Sensing`` for their meaning."""
+    """Sensor imperfections of one robot for kernels; see ``Sensing`` for their meaning.
+
+    A team has a table of them, (n, fields) float64, with a row for each robot.
+    """
 
     reach: float  # range, m; inf without a limit
-    half_field: float  # half the field of view, rad
-    noise: float
+    half_field: float  # half the field of view, rad; at most π
+    view_cosine: float  # its cosine
+    noise: float  # white, rad
     bias: float
     error: float
-    dropout: float
-    sectors: int  # 0 disables quantisation
-    obstacles_hide: bool
-    robots_hide: bool
-
-    @property
-    def over_lanes(self) -> bool:
-        """True if range, field of view or noise changes the rows of neighbours."""
-        limited = math.isfinite(self.reach) or self.half_field < math.pi
-        return limited or max(self.noise, self.bias, self.dropout) > 0.0
-
-    @property
-    def one_by_one(self) -> bool:
-        """True if other imperfections apply, which process one environment at a time."""
-        return self.obstacles_hide or self.robots_hide or self.error > 0.0 or self.sectors > 0
-
-    @property
-    def changes_silhouettes(self) -> bool:
-        """True if any imperfection changes the rows of obstacles."""
-        turned = max(self.noise, self.bias) > 0.0 or self.sectors > 0
-        return turned or self.half_field < math.pi
+    dropout: float  # where no other effect decides on detection
+    sectors: float  # 0 disables quantisation
+    obstacles_hide: float  # 1 if obstacles occlude robots, else 0
+    robots_hide: float  # likewise for other robots
 
 
-def imperfections_of(sensing: Sensing) -> Imperfections | None:
-    """Kernel constants of a sensor; None if it is exact except for custom imperfections."""
+def imperfections_of(sensing: Sensing, n_robots: int) -> NDArray[np.float64] | None:
+    """Table of ``Imperfections`` of a team; None if sensors are exact but for custom ones."""
     if sensing.built_in_exact:
         return None
-    noise, dropout = sensing.noise, sensing.dropout
-    reach, view = sensing.range, sensing.field_of_view
+    n, columns = n_robots, dict[str, Any]()
+    columns["reach"] = sensing.each("range", n)
+    columns["half_field"] = 0.5 * sensing.each("field_of_view", n)
+    columns["view_cosine"] = np.cos(columns["half_field"])
+    columns["noise"] = np.where(has_memory(sensing, n), 0.0, sensing.each("noise", n))
+    columns["dropout"] = np.where(draws_detection(sensing, n), 0.0, sensing.each("dropout", n))
+    columns["obstacles_hide"] = sensing.among("occlusion", n, "obstacles", "both")
+    columns["robots_hide"] = sensing.among("occlusion", n, "robots", "both")
+    columns |= {name: sensing.each(name, n) for name in ("bias", "error", "sectors")}
+    return table_of(Imperfections(**columns))
+
+
+def table_of(columns: Any) -> NDArray[np.float64]:
+    """Table, (n, fields), of ``Imperfections`` whose fields are arrays (n,)."""
+    return np.stack(columns, axis=1, dtype=np.float64)
+
+
+def columns_of(table: NDArray[np.float64]) -> Any:
+    """``Imperfections`` whose fields are the columns of a table, arrays (n,)."""
+    return Imperfections(*table.T)
+
+
+def changes_lanes(table: NDArray[np.float64]) -> bool:
+    """True if range, field of view or noise changes the rows of neighbours."""
+    own = columns_of(table)
+    limited = np.isfinite(own.reach) | (own.half_field < math.pi)
+    return bool(limited.any() or max(map(np.max, (own.noise, own.bias, own.dropout))) > 0.0)
+
+
+def changes_singles(table: NDArray[np.float64]) -> bool:
+    """True if other imperfections apply, which process one environment at a time."""
+    own = columns_of(table)
+    return any(part.any() for part in (own.obstacles_hide, own.robots_hide, own.error, own.sectors))
+
+
+def changes_silhouettes(table: NDArray[np.float64]) -> bool:
+    """True if field of view or noise changes the rows of obstacles."""
+    own = columns_of(table)
+    return bool((own.half_field < math.pi).any() or own.noise.any() or own.bias.any())
+
+
+@inner_kernel(inline="code")
+def errors_of(table, i):
+    """``Imperfections`` of robot i, from its row of a table."""
+    own = table[i]
     return Imperfections(
-        reach=math.inf if reach is None or isinstance(reach, tuple) else reach,
-        half_field=math.pi if isinstance(view, tuple) else 0.5 * view,
-        noise=0.0 if draws_noise(sensing) or isinstance(noise, tuple) else noise,
-        bias=0.0 if isinstance(sensing.bias, tuple) else sensing.bias,
-        error=sensing.error,
-        dropout=0.0 if draws_detection(sensing) or isinstance(dropout, tuple) else dropout,
-        sectors=sensing.sectors or 0,
-        obstacles_hide=sensing.occlusion in ("obstacles", "both"),
-        robots_hide=sensing.occlusion in ("robots", "both"),
-    )
-
-
-class Views(NamedTuple):
-    """Range and field of view that differ between robots; neutral if ``Imperfections`` has them."""
-
-    reaches: NDArray[np.float64]  # (n,), m; inf without a limit
-    half_fields: NDArray[np.float64]  # (n,), rad; at most π
-
-
-def views_of(sensing: Sensing, n_robots: int) -> Views | None:
-    """Range and field of view of each robot; None if all are equal."""
-    differing = sensing.per_robot
-    if "range" not in differing and "field_of_view" not in differing:
-        return None
-    reaches, views = sensing.each("range", n_robots), sensing.each("field_of_view", n_robots)
-    return Views(
-        reaches=reaches if "range" in differing else np.full(n_robots, math.inf),
-        half_fields=0.5 * views if "field_of_view" in differing else np.full(n_robots, math.pi),
+        own[0], own[1], own[2], own[3], own[4], own[5], own[6], own[7], own[8], own[9]
     )
 
 
@@ -127,9 +130,11 @@ def _is_hidden(pair, offset, sensor, obstacles, merged_into, radii, positions):
     """True if an obstacle or another robot, of its radius (m), is between robots i and j."""
     i, j = pair
     if obstacles is not None:
-        if sensor.obstacles_hide and is_hidden_by_obstacles(obstacles, load(positions[i]), offset):
+        if sensor.obstacles_hide > 0.0 and is_hidden_by_obstacles(
+            obstacles, load(positions[i]), offset
+        ):
             return True
-    if sensor.robots_hide:
+    if sensor.robots_hide > 0.0:
         for k in range(positions.shape[0]):
             if k != i and k != j and merged_into[k] == k:
                 other = subtract(load(positions[k]), load(positions[i]))

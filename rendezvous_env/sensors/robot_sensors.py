@@ -38,13 +38,8 @@ setattr(as_sensing, "made", Sensing)  # noqa: B010 - as ``of_class``, for hints 
 
 
 def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
-    """A field of the sensors of all robots: one value, or a list of those of ``PER_ROBOT``."""
+    """A field of the sensors of all robots: one value, or a list in a field of ``PER_ROBOT``."""
     values = [getattr(sensor, name) for sensor in sensors]
-    if name == "view_falloff":  # no edge without a limited field of view
-        values = [
-            own or max(values) if _sees_all_round(sensor) else own
-            for own, sensor in zip(values, sensors, strict=True)
-        ]
     for robot, (value, sensor) in enumerate(zip(values, sensors, strict=True)):
         if name in PER_ROBOT and (given := sensor.list_given(name)) is not None:
             wanted = "one value, not a list, in the sensor of one robot"
@@ -52,12 +47,7 @@ def _combined(field: str, name: str, sensors: list[Sensing]) -> Any:
         if name not in PER_ROBOT and value != values[0]:
             raise ValueError(
                 f"{field}[{robot}].{name} is {checks.short_repr(value)}; it must be "
-                f"{checks.short_repr(values[0])} as that of robot 0: sensors of a team differ in "
-                f"{', '.join(PER_ROBOT)} only"
+                f"{checks.short_repr(values[0])} as that of robot 0: sensors of a team may differ "
+                f"in every field but {name}, which applies to the observations of all robots"
             )
     return values[0] if all(value == values[0] for value in values) else tuple(values)
-
-
-def _sees_all_round(sensor: Sensing) -> bool:
-    """True if the field of view of one robot has no edge."""
-    return sensor.field_of_view == Sensing().field_of_view

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,18 @@ from .custom_sensors import as_custom
 _FULL_CIRCLE = 2.0 * math.pi
 PER_ROBOT = (
     "range", "field_of_view", "noise", "dropout", "min_range", "observer_bias", "outliers", "bias",
-    "delay", "delay_time", "detection", "persistence",
+    "delay", "delay_time", "detection", "persistence", "noise_correlation", "sample_period",
+    "view_falloff", "error", "sectors", "occlusion", "outlier_kind",
 )  # fmt: skip
-"""Fields with one value for all robots, or a list with one for each."""
-UNLIMITED = "unlimited"
-"""Range of a robot without a limit, in plain data."""
+"""Fields with one value for all robots, or a list with one for each: all but ``custom``.
+
+A custom imperfection is a function of the observations of all robots, and may treat each in its own
+way."""
+_ABSENT = {"range": ("unlimited", math.inf), "sectors": ("none", 0.0)}
+"""Fields that are None in a robot without them: in plain data a word, and in ``each`` a number."""
 _Each = float | tuple[float, ...]
+_Occlusion = Literal["none", "obstacles", "robots", "both"]
+_Outlier = Literal["uniform", "robot"]
 _Table = tuple[tuple[float, float], ...]
 
 
@@ -44,24 +50,41 @@ def _each(check: Any, unit: str = "") -> Any:
 
 _angle = partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")
 _time = partial(checks.number, least=0.0, unit="s")
-_Deviation = Annotated[float, _angle]
 _Deviations = Annotated[_Each, _each(_angle, "rad")]
-_Time = Annotated[float, _time]
 _Times = Annotated[_Each, _each(_time, "s")]
 
 
 def _check_ranges(field: str, value: Any) -> Any:
     """Maximum distance, m, or one for each robot, None for those without a limit."""
+    one = _or_none("range", partial(checks.positive, unit="m"), "no limit")
+    return checks.one_or_each(field, value, one, "m", keeps_lists=True)
 
-    def one(field: str, value: Any) -> float | None:
-        if value is None or (isinstance(value, str) and value == UNLIMITED):
+
+def _check_sectors(field: str, value: Any) -> Any:
+    """Number of sectors, or one for each robot, None for those with exact bearings."""
+    one = _or_none(
+        "sectors", partial(checks.check_int, least=2, most=MAX_SECTORS), "exact bearings"
+    )
+    return checks.one_or_each(field, value, one, keeps_lists=True)
+
+
+def _or_none(name: str, check: Any, meaning: str) -> Any:
+    """Check of one value of a field of ``_ABSENT``, which may be None or its word."""
+
+    def one(field: str, value: Any) -> Any:
+        if value is None or (isinstance(value, str) and value == _ABSENT[name][0]):
             return None
         try:
-            return checks.positive(field, value, unit="m")
+            return check(field, value)
         except ValueError as error:
-            raise ValueError(f"{error}, or None for no limit") from None
+            raise ValueError(f"{error}, or None for {meaning}") from None
 
-    return checks.one_or_each(field, value, one, "m", keeps_lists=True)
+    return one
+
+
+def _words(choices: Any) -> Any:
+    """Check of one word for all robots, or a list with one for each."""
+    return _each(partial(checks.choice, choices=get_args(choices)))
 
 
 def _check_tables(field: str, value: Any) -> _Table | tuple[_Table, ...]:
@@ -126,9 +149,11 @@ class Sensing:
     """Standard deviation of a constant error of each bearing, sampled for every ordered pair and
     episode, rad, of all robots or a list with one for each. Pairs differ, so unlike a compass error
     it does not cancel."""
-    error: Annotated[float, partial(checks.number, least=0.0, most=math.pi, unit="rad")] = 0.0
+    error: Annotated[
+        _Each, _each(partial(checks.number, least=0.0, most=math.pi, unit="rad"), "rad")
+    ] = 0.0
     """Adversarial error: bearings are rotated by this angle in the direction that increases L most,
-    rad (theorem N; guarantees, section 11)."""
+    rad, of all robots or a list with one for each (theorem N; guarantees, section 11)."""
     dropout: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
     """Probability that a neighbour is not detected in a step, of all robots or a list with one for
     each."""
@@ -137,37 +162,40 @@ class Sensing:
     ] = 0
     """Delay of observations, steps, of all robots or a list with one for each; the first
     observation is held until then."""
-    sectors: Annotated[int, partial(checks.check_int, least=2, most=MAX_SECTORS)] | None = None
-    """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2); None
-    disables quantisation."""
-    occlusion: Literal["none", "obstacles", "robots", "both"] = "none"
-    """Occluding objects: none, obstacles, robots (discs or spheres of radius r/2) or both."""
+    sectors: Annotated[int | tuple[int | None, ...] | None, _check_sectors] = None
+    """Number of sectors to which bearings are quantised, in 3-D in yaw and elevation (± π/2), of
+    all robots or a list with one for each; None disables quantisation."""
+    occlusion: Annotated[_Occlusion | tuple[_Occlusion, ...], _words(_Occlusion)] = "none"
+    """Occluding objects: none, obstacles, robots (discs or spheres of radius r/2) or both; for all
+    robots or a list with one for each."""
     custom: Annotated[tuple[str, ...], as_custom] = ()
-    """Names of custom imperfections (``sensor_imperfection``), applied last in this order."""
+    """Names of custom imperfections (``sensor_imperfection``), applied last in this order, to the
+    observations of all robots."""
     min_range: Annotated[_Each, _each(partial(checks.number, least=0.0, unit="m"), "m")] = 0.0
     """Blind zone, m, of all robots or a list with one for each: nearer neighbours are not detected.
     Links of a proximity graph stay."""
-    sample_period: _Time = 0.0
-    """Time between two samples, s: rows are refreshed at the first step at or after each multiple
-    of it, and held until then; 0 is every step."""
+    sample_period: _Times = 0.0
+    """Time between two samples, s, of all robots or a list with one for each: rows are refreshed at
+    the first step at or after each multiple of it, and held until then; 0 is every step."""
     delay_time: _Times = 0.0
-    """Delay of observations, s, instead of delay, of all robots or a list with one for each:
-    rounded to whole steps, half a step upwards."""
+    """Delay of observations, s, of all robots or a list with one for each: rounded to whole steps,
+    half a step upwards. Each robot has either this or ``delay``."""
     observer_bias: _Deviations = 0.0
     """Standard deviation of a constant rotation of a robot's sensor in an episode, rad, of all
     robots or a list with one for each. It affects all bearings, of obstacles too, but not commands.
     In 3-D the axis is random, and this is the root mean square rotation of any bearing."""
-    noise_correlation: _Time = 0.0
-    """Time constant of noise, s: errors at two times t apart have correlation exp(−t/T); their
-    distribution is that of white noise, which 0 gives. In 3-D the axis is constant for each pair
-    and episode."""
+    noise_correlation: _Times = 0.0
+    """Time constant of noise, s, of all robots or a list with one for each: errors at two times t
+    apart have correlation exp(−t/T); their distribution is that of white noise, which 0 gives. In
+    3-D the axis is constant for each pair and episode."""
     detection: Annotated[_Table | tuple[_Table, ...], _check_tables] = ()
     """Probability of detecting a neighbour by its distance, a list of pairs (m, probability):
     linear in between, constant beyond the first and the last; of all robots, or a list with one
     such list for each. It is multiplied by 1 − dropout."""
-    view_falloff: _Deviation = 0.0
-    """Width of the border of the field of view, rad, in which the probability of detection falls
-    linearly to zero at the edge. A full field of view has no edge."""
+    view_falloff: _Deviations = 0.0
+    """Width of the border of the field of view, rad, of all robots or a list with one for each. In
+    it the probability of detection falls linearly to zero at the edge. A full field of view has no
+    edge."""
     persistence: _Times = 0.0
     """Time constant of detection, s, of all robots or a list with one for each: a two-state Markov
     chain for each ordered pair. After a time t, with detection probability p, a detected robot is
@@ -176,25 +204,26 @@ class Sensing:
     outliers: Annotated[_Each, _each(partial(checks.number, least=0.0, most=1.0))] = 0.0
     """Probability that a detected neighbour's bearing is replaced in a step by an outlier, of all
     robots or a list with one for each."""
-    outlier_kind: Literal["uniform", "robot"] = "uniform"
+    outlier_kind: Annotated[_Outlier | tuple[_Outlier, ...], _words(_Outlier)] = "uniform"
     """Outlier: a uniform direction, or the bearing of another active robot, sampled uniformly;
-    without another one, the bearing is unchanged."""
+    without another one, the bearing is unchanged. For all robots or a list with one for each."""
 
     __repr__ = repr_of_changes
 
     def __post_init__(self) -> None:
         field_checks.check_fields(self, "sensing.{}")
-        if self.largest("delay") > 0 and self.largest("delay_time") > 0.0:
+        if any(steps > 0 and seconds > 0.0 for steps, seconds in self._of("delay", "delay_time")):
             steps = self._in_words("delay", "steps")
             raise ValueError(
                 f"sensing.delay is {steps} and sensing.delay_time is "
                 f"{self._in_words('delay_time', 's')}; it must be one of the two: omit the other"
             )
-        if self.view_falloff > 0.0 and self.smallest("field_of_view") >= _FULL_CIRCLE:
+        borders = [view for falloff, view in self._of("view_falloff", "field_of_view") if falloff]
+        if borders and min(borders) >= _FULL_CIRCLE:
             raise ValueError(
-                f"sensing.view_falloff is {self.view_falloff} rad and sensing.field_of_view is "
-                "the full circle, which has no edge; it must be 0, or give a field_of_view below "
-                "2π rad"
+                f"sensing.view_falloff is {self._in_words('view_falloff', 'rad')} and "
+                "sensing.field_of_view is the full circle, which has no edge; it must be 0, or "
+                "give a field_of_view below 2π rad"
             )
 
     @classmethod
@@ -280,10 +309,18 @@ class Sensing:
         return [*own] if isinstance(own, tuple) else None
 
     def each(self, field: str, n_robots: int) -> NDArray[np.float64]:
-        """A field of numbers for each robot, (n,), in its unit; inf for unlimited ranges."""
+        """A field of numbers for each robot, (n,), in its unit.
+
+        Unlimited ranges are inf, and 0 sectors are exact.
+        """
         given = self.list_given(field) or [getattr(self, field)]
-        values = [math.inf if value is None else value for value in given]
+        values = [_ABSENT[field][1] if value is None else value for value in given]
         return np.array(np.broadcast_to(np.array(values, np.float64), (n_robots,)))
+
+    def among(self, field: str, n_robots: int, *words: str) -> NDArray[np.bool_]:
+        """Mask of the robots whose value of a field is one of these words, (n,)."""
+        given = self.list_given(field) or [getattr(self, field)]
+        return np.broadcast_to(np.isin(given, words), (n_robots,))
 
     def tables(self, n_robots: int) -> list[_Table]:
         """Table of ``detection`` of each robot; empty for one that always detects."""
@@ -311,7 +348,7 @@ class Sensing:
         for name in self.per_robot:
             given = self.list_given(name)
             if given is not None and len(given) != n_robots:
-                what = "tables" if name == "detection" else "numbers"
+                what = _ENTRIES.get(name, "numbers")
                 remedy = f"{n_robots} {what}, one for each robot, or a single one for all of them"
                 checks.raise_invalid(f"sensing.{name}", given, remedy)
         return self._united()
@@ -330,6 +367,14 @@ class Sensing:
         equal = {name: own[0] for name, own in lists.items() if len(set(own)) == 1}
         return dataclasses.replace(self, **equal) if equal else self
 
+    def _of(self, *fields: str) -> list[tuple[Any, ...]]:
+        """Values of some fields, for each robot; one tuple without lists."""
+        lists = [self.list_given(field) for field in fields]
+        count = max(len(given or [0]) for given in lists)
+        own = zip(fields, lists, strict=True)
+        columns = [given or [getattr(self, field)] * count for field, given in own]
+        return [*zip(*columns, strict=False)]  # ``of_team`` refuses unequal lengths
+
     def _in_words(self, field: str, unit: str) -> str:
         """Value or values of a field with their unit."""
         given = self.list_given(field)
@@ -347,7 +392,8 @@ class Sensing:
         for field in _YOUNGER:
             plain[field] = None if plain[field] == getattr(_EXACT, field) else plain[field]
         for field in self.per_robot:
-            plain[field] = [UNLIMITED if one is None else one for one in plain[field]]
+            word = _ABSENT.get(field, ("",))[0]
+            plain[field] = [word if one is None else one for one in plain[field]]
         plain["detection"] = plain["detection"] and _as_lists(plain["detection"])
         return {field: value for field, value in plain.items() if value is not None}
 
@@ -357,6 +403,8 @@ def _as_lists(value: Any) -> Any:
     return [*map(_as_lists, value)] if isinstance(value, tuple | list) else value
 
 
+_ENTRIES = {"detection": "tables", "occlusion": "words", "outlier_kind": "words"}
+"""Names of the entries of lists, "numbers" in other fields."""
 _EXACT = Sensing()
 _YOUNGER = (
     "min_range", "sample_period", "delay_time", "observer_bias", "noise_correlation", "detection",

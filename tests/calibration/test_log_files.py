@@ -88,6 +88,7 @@ def test_readers_keep_identities_with_other_bar_codes_and_gaps(tmp_path):
     assert fit_sensor(log).estimates.errors.error.size < len(bearings)
 
 
+@pytest.mark.slow
 def test_fit_command_writes_report_figures_and_scenario(tmp_path, capsys):
     out, told, page = (tmp_path / name for name in ("camera.toml", "camera.json", "camera.pdf"))
     files = ["--out", str(out), "--json", str(told), "--figures", str(page)]

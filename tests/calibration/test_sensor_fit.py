@@ -72,6 +72,7 @@ def test_fitted_fields_make_a_sensor_that_scenarios_accept(fits):
     assert rv.Scenario(n_robots=5, sensing=sensing).sensing == sensing
 
 
+@pytest.mark.slow
 def test_sensing_fit_takes_columns_rows_and_frames(logs):
     bearings, poses = (table[: len(table) // 6] for table in logs[0])
     named = dict(zip(("time", "observer", "target", "bearing"), bearings.T, strict=True))
@@ -130,6 +131,7 @@ def test_listed_empty_frames_and_a_regular_clock_agree(logs):
     assert len(listed.time) == 5 * len(samples)
 
 
+@pytest.mark.slow
 def test_an_all_round_sensor_with_dropout_has_no_other_effect():
     sensing = {"noise": 0.05, "dropout": 0.2}
     ((bearings, poses),) = simulate(sensing, seeds=(0,), duration=120.0, n_robots=3)
@@ -141,6 +143,7 @@ def test_an_all_round_sensor_with_dropout_has_no_other_effect():
     assert fields.get("bias", 0.0) < 0.01
 
 
+@pytest.mark.slow
 def test_bearings_of_other_robots_are_told_from_uniform_outliers():
     sensing = {"noise": 0.01, "outliers": 0.1, "outlier_kind": "robot"}
     ((bearings, poses),) = simulate(sensing, seeds=(0,), duration=100.0, n_robots=4)
@@ -150,6 +153,7 @@ def test_bearings_of_other_robots_are_told_from_uniform_outliers():
     assert one.low < 0.1 < one.high < 0.12
 
 
+@pytest.mark.slow
 def test_delay_scan_finds_a_delay_of_both_signs():
     ((bearings, poses),) = simulate({"noise": 0.01}, seeds=(0,), duration=60.0, n_robots=3)
     for shift in (-0.13, 0.37):

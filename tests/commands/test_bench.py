@@ -80,6 +80,7 @@ def test_installed_ignores_folder_with_library_name(tmp_path, monkeypatch):
     assert not installed("folder_of_no_library") and installed("numpy")
 
 
+@pytest.mark.slow
 def test_tiny_batch_counts_as_one_environment():
     rows = measure(learners.heading_ppo(Size(1, 1)), Config(**QUICK | {"num_envs": 1}))
     assert [row["num_envs"] for row in rows] == [1, 1, 1]

@@ -86,6 +86,7 @@ class TestHelp:
                 assert tyro.cli(config, args=words.split()), (name, words)
 
 
+@pytest.mark.slow
 def test_names_and_paths_are_not_markup(tmp_path, monkeypatch, capsys):
     """Every command prints names unchanged."""
     monkeypatch.chdir(tmp_path)
@@ -133,10 +134,25 @@ def test_former_policy_names_warn(monkeypatch, capsys):
     monkeypatch.setattr(importlib.import_module("train.compare.compare"), "run", given.append)
     assert run("compare", "--policies", "tank-joined", "best=tangent-joined-tuned", "learned") == 0
     assert capsys.readouterr().err.splitlines() == [
-        "warning: policy tank-joined is called tank-merged now",
-        "warning: policy tangent-joined-tuned is called tangent-merged-tuned now",
+        "warning: policy 'tank-joined' is called 'tank-merged' now",
+        "warning: policy 'tangent-joined-tuned' is called 'tangent-merged-tuned' now",
     ]
     assert given[0].policies == ("tank-merged", "best=tangent-merged-tuned", "learned")
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("compare", "--policies tank-merged --out tank-joined"),
+        ("train", "--out=tank-joined"),
+        ("leaderboard", "--tier smoke --out tank-joined"),
+    ],
+)
+def test_paths_like_former_policy_names_are_kept(command, words, monkeypatch, capsys):
+    module, given = importlib.import_module(f"train.{cli.COMMANDS[command][0]}"), []
+    monkeypatch.setattr(module, "run", given.append)
+    assert run(command, *words.split()) == 0
+    assert given[0].out == Path("tank-joined") and not capsys.readouterr().err
 
 
 def test_old_flag_names_are_accepted(monkeypatch):
@@ -219,7 +235,7 @@ def test_completion_covers_all_commands_and_flags(tmp_path, capsys):
     assert run("--completion", "ksh") == 2
 
 
-@pytest.mark.parametrize(("figure", "through"), [("fig3", True), ("fig4", False)])
+@pytest.mark.parametrize(("figure", "through"), [("fig3", True), slow("fig4", False)])
 def test_reproduce_writes_figure_and_data(figure, through, tmp_path):
     """Robots pass through obstacles in figure 3, and around them in figure 4."""
     assert run("reproduce", figure, "--out", str(tmp_path)) == 0

@@ -12,6 +12,7 @@ import onnxruntime
 import pytest
 import torch
 from inference_network import make_network, stirred
+from parameters import first_fast, slow
 from stable_baselines3 import PPO, SAC
 
 import baselines
@@ -71,7 +72,7 @@ def refused(path, content, message):
 
 
 class TestNetwork:
-    @pytest.mark.parametrize("name", shipped.NAMES)
+    @pytest.mark.parametrize("name", first_fast(shipped.NAMES))
     def test_onnx_runtime_matches_network_choices(self, exported, name):
         """Without code of this project: inputs by name, and an argmax."""
         session = onnxruntime.InferenceSession(exported / f"{name}.onnx")
@@ -119,7 +120,7 @@ class TestPolicy:
     @pytest.mark.parametrize(
         ("name", "field"),
         [("learned", "clutter-12"), ("learned-tank", "clutter-12"),
-         ("learned-tank", "clutter-3d-32"), ("learned-tank", "uav-clutter-16")],
+         slow("learned-tank", "clutter-3d-32"), slow("learned-tank", "uav-clutter-16")],
     )  # fmt: skip
     def test_exported_policy_moves_as_original(self, name, field, tmp_path):
         """The file contains only the network, without planes, features and tanks."""

@@ -23,10 +23,7 @@ from train import cli, results
 from train.compare import compare
 from train.learn import ppo
 
-
-def cases(fast, slow):
-    """Number of cases by default, and with the marker ``slow``."""
-    return pytest.mark.parametrize("count", [fast, pytest.param(slow, marks=pytest.mark.slow)])
+pytestmark = pytest.mark.slow
 
 
 def tried(count, *strategies):
@@ -141,9 +138,8 @@ def compared_files(compared):
     return {k: content for k, content in contents(compared).items() if k != "report.html"}
 
 
-@cases(10, 100)
-def test_report_rejects_damaged_result_folders(count, compared_files, reseal, tmp_path, capsys):
-    @tried(count, often(compared_files), st.booleans())
+def test_report_rejects_damaged_result_folders(compared_files, reseal, tmp_path, capsys):
+    @tried(100, often(compared_files), st.booleans())
     def _(files, sealed):
         lay(tmp_path / "out", files)
         if sealed:
@@ -183,25 +179,23 @@ def sign(folder):
 
 
 class TestRuns:
-    @cases(8, 40)
-    def test_resume_rejects_damaged_files(self, count, run_files, tmp_path, capsys):
+    def test_resume_rejects_damaged_files(self, run_files, tmp_path, capsys):
         folder = tmp_path / "run"
 
-        @tried(count, often(run_files), st.booleans())
+        @tried(40, often(run_files), st.booleans())
         def _(files, sealed):
             lay(folder, files)
             if sealed:
                 sign(folder)
             said_by(["train", "--resume", folder], tmp_path, capsys)
 
-    @cases(20, 200)
-    def test_load_rejects_damaged_policies(self, count, run_files, tmp_path, capsys):
+    def test_load_rejects_damaged_policies(self, run_files, tmp_path, capsys):
         """Files read by ``learned:PATH``."""
         place = checkpoints.find(lay(tmp_path / "run", run_files))
         whole = contents(place)
         read = {name: whole[name] for name in ("checkpoint.json", "network.safetensors")}
 
-        @tried(count, damaged(read), st.booleans())
+        @tried(200, damaged(read), st.booleans())
         def _(found, sealed):
             files = whole | found
             lay(place, files)
@@ -284,13 +278,12 @@ def no_work(monkeypatch):
     monkeypatch.setattr(leaderboard, "write", lambda *given: None)
 
 
-@cases(40, 160)
-def test_invalid_command_lines_are_one_line(count, no_work, tmp_path, capsys, monkeypatch):
+def test_invalid_command_lines_are_one_line(no_work, tmp_path, capsys, monkeypatch):
     odd = {"file": b"", "bytes.toml": b"\xff\xfe\0", "words.toml": b"n_robots = [[[["}
     odd |= dict.fromkeys(("folder.toml", "folder"))
     accepted = set()
 
-    @tried(count, command_lines())
+    @tried(160, command_lines())
     def _(words):
         monkeypatch.chdir(work := lay(tmp_path / "work", odd))
         if said_by(words, work, capsys) == 0:

@@ -84,6 +84,7 @@ class TestCommands:
             assert "Traceback" not in wrong and wrong.count("\n") <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "body"),
     [

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import run_python
-from parameters import slow
+from parameters import first_fast, slow
 from robot_actions import neighbour_reading
 
 import baselines
@@ -74,7 +74,7 @@ def act_along(file, scenario, policy, seed, steps):
     return worst
 
 
-@pytest.mark.parametrize("policy", ["learned-tank", "own_laws:certified"])
+@pytest.mark.parametrize("policy", ["own_laws:certified", slow("learned-tank")])
 def test_file_of_a_robot_with_own_limits_acts_as_in_the_team(own, policy, tmp_path):
     """By the settings of the whole team, within the robot's own limits."""
     limits = {"max_speed": [0.5, 1.0, 2.0], "max_turn_rate": [1.0, 0.5, 2.0]}
@@ -94,6 +94,7 @@ def test_file_of_a_robot_with_own_limits_acts_as_in_the_team(own, policy, tmp_pa
     assert moved > 5.0
 
 
+@pytest.mark.slow
 def test_example_of_the_documentation_is_exported(monkeypatch, tmp_path):
     """The file ``my_laws.py`` of the page, which uses ``baselines`` by attribute."""
     page = (Path(__file__).parents[2] / "docs/write-a-law.md").read_text(encoding="utf-8")
@@ -148,11 +149,11 @@ NOT_OF_ONE_ROBOT = {
     ("policy", "name"),
     [
         ("bearing-only", "clutter-12"),
-        ("tangent-merged", "clutter-12"),
-        ("learned-tank", "unicycle-6"),
-        ("learned", "unicycle-clutter-8"),
-        ("learned-tank", "uav-clutter-16"),
-        ("search-and-pursue", "utias-5"),
+        slow("learned-tank", "unicycle-6"),
+        slow("tangent-merged", "clutter-12"),
+        slow("learned", "unicycle-clutter-8"),
+        slow("learned-tank", "uav-clutter-16"),
+        slow("search-and-pursue", "utias-5"),
     ],
 )
 def test_scenario_of_a_file_has_every_attribute_that_is_read(exported, policy, name):
@@ -163,11 +164,8 @@ def test_scenario_of_a_file_has_every_attribute_that_is_read(exported, policy, n
 
 
 def kind_of(scenario):
-    """Which code its policies use; scenarios of one kind differ in numbers only."""
-    plain = scenario.to_plain()
-    robots = scenario.robot_model, scenario.dim, scenario.mixes_models
-    given = [plain.get(name) is None for name in ("obstacles", "events")]
-    return *robots, type(scenario.graph), *given, *(plain.get("sensing") or ())
+    """Robots, and whether there are obstacles: which policies there are, and most of their code."""
+    return scenario.robot_model, scenario.dim, scenario.mixes_models, bool(scenario.obstacles)
 
 
 @pytest.mark.slow
@@ -328,7 +326,7 @@ def test_standalone_file_runs_with_numpy_only(exported, tmp_path):
     assert np.abs(wanted).max() > 0.3
 
 
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("policy", first_fast(POLICIES, 2))
 def test_standalone_file_imports_only_numpy(exported, policy):
     found = set()
     for node in ast.walk(ast.parse(exported(policy).read_text(encoding="utf-8"))):
@@ -455,6 +453,7 @@ def test_standalone_file_handles_any_scenario_name(tmp_path):
     assert name in standalone.load(path).__doc__
 
 
+@pytest.mark.slow
 def test_standalone_file_of_long_path_is_recognised(exported, tmp_path):
     text, path = exported("learned").read_text(encoding="utf-8"), tmp_path / "robot.py"
     path.write_text(text.replace("'learned'", repr("learned:" + "far/" * 200), 1), encoding="utf-8")
@@ -472,6 +471,7 @@ class TestBundle:
         for name in replaced:
             assert hasattr(import_module(name.module), name.word), name
 
+    @pytest.mark.slow
     def test_bundle_includes_steering_and_disambiguates_names(self, exported):
         """The command compares file and policy on random ticks."""
         path = exported("learned-tank", "unicycle-6")
@@ -552,6 +552,7 @@ def simulate(file, n, seed, seconds, careful=True):
     return errors.tolist(), closest, apart.max()
 
 
+@pytest.mark.slow
 def test_robotarium_robots_pack_without_contact(exported):
     file = standalone.load(exported("bearing-only", "robotarium-4"))
     errors, closest, diameter = simulate(file, 4, seed=0, seconds=20.0)
@@ -652,6 +653,7 @@ def own(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", ["law", "Smooth", "certified"])
 def test_a_law_of_a_users_own_file_stands_in_one_file(own, function, tmp_path):
     words = ["--policy", f"own_laws:{function}", "--standalone", "robot.py", "--checks", "200"]
@@ -673,7 +675,7 @@ def test_a_law_of_a_users_own_file_stands_in_one_file(own, function, tmp_path):
             "by_size",
             "the file differs from the policy by .* In one file a scenario has n_robots =",
         ),
-        ("by_room", "no attribute 'spawn_size'. In one file a scenario has n_robots = 1"),
+        slow("by_room", "no attribute 'spawn_size'. In one file a scenario has n_robots = 1"),
         ("with_scipy", "it imports scipy; a standalone file may use NumPy only"),
     ],
 )

@@ -33,6 +33,7 @@ class TestEach:
         assert [number for number, _ in found] == [0, 1, 2]
         assert [result[:2] for _, result in found] == [(letter, os.getpid()) for letter in "abc"]
 
+    @pytest.mark.slow
     def test_two_workers_are_single_threaded_processes(self):
         found = dict(parallel_map(where, range(12), Workers(jobs=2)))
         assert sorted(found) == list(range(12))
@@ -54,6 +55,7 @@ class TestEach:
             assert {*chain(*found)} == {1} and min(map(len, found)) > 1
             assert {*threads(None)} == {3}
 
+    @pytest.mark.slow
     def test_here_tasks_stay_in_this_process(self):
         found = dict(
             parallel_map(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0)
@@ -66,6 +68,7 @@ class TestEach:
         assert found == {number: number for number in range(8)}
         assert (tmp_path / "died").exists()
 
+    @pytest.mark.slow
     def test_repeated_worker_loss_is_error(self):
         with pytest.raises(UserError, match="workers ended 3 times before any task was done"):
             list(parallel_map(dies, range(4), Workers(jobs=2)))
@@ -75,6 +78,7 @@ class TestEach:
         with pytest.raises(UserError, match=r"task \d cannot be"):
             list(parallel_map(refuses, range(4), Workers(jobs=count)))
 
+    @pytest.mark.slow
     def test_ctrl_c_ends_workers(self):
         processes = set()
         tasks = parallel_map(where, range(10_000), Workers(jobs=2))
@@ -88,6 +92,7 @@ class TestEach:
             with pytest.raises(ProcessLookupError):
                 os.kill(process, 0)
 
+    @pytest.mark.slow
     def test_unfinished_tasks_are_dropped(self):
         """Many short tasks: discarded ones are not searched for."""
         with closing(parallel_map(abs, range(-3000, 0), Workers(jobs=2))) as found:
@@ -99,6 +104,7 @@ class TestEach:
         assert {result[1] for _, result in found} == {os.getpid()}
 
 
+@pytest.mark.slow
 def test_compare_with_two_workers_equals_one(tmp_path, monkeypatch):
     """Three blocks of initial conditions for each policy and scenario."""
     monkeypatch.setattr(playing, "BLOCK", 8)
@@ -141,6 +147,7 @@ class TestSeeds:
         with pytest.raises(UserError, match="seed-0 contains a run of other settings"):
             command.run(self.config(one, learning_rate=1e-4))
 
+    @pytest.mark.slow
     def test_registered_extensions_are_trained_in_this_process(self, tmp_path):
         rv.reward_term("of this process", lambda step: -step.time)
         file = tmp_path / "own.toml"

@@ -278,6 +278,7 @@ class TestStatistics:
         (row,) = statistics.compare_pairs("s", played, against="other")
         assert (row["policy"], row["collision_free_difference"]) == ("bearing-only", -0.25)
 
+    @pytest.mark.slow
     def test_bootstrap_of_many_samples_uses_little_memory(self):
         """All resamples of 20,000 episodes at once would take 320 MB, and as much for indices."""
         tracemalloc.start()
@@ -291,6 +292,7 @@ class TestStatistics:
         assert [row["policy"] for row in statistics.compare_pairs("s", two)] == ["a"]
 
 
+@pytest.mark.slow
 def test_wall_scenario_defeats_all_policies():
     """Passing the wall would require an increase of V (theory 6)."""
     scenario = scenarios.get("wall")

@@ -112,6 +112,7 @@ def test_changed_source_is_another_comparison(mine, tmp_path):
     assert resume.run_id(first) != resume.run_id(again)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_rows_come_from_one_source_version(jobs, mine, tmp_path, monkeypatch):
     """An edit during a comparison would reach workers, which import later."""
@@ -270,6 +271,7 @@ class TestLabels:
         (ranking,) = build.rankings(found)
         assert ranking.best == "my law"
 
+    @pytest.mark.slow
     def test_a_labelled_reference_does_not_compete(self, tmp_path):
         wanted = ("oracle=privileged-planner", "tangent", "learned")
         config = compare.Config(

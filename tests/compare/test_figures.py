@@ -201,6 +201,7 @@ class TestPrint:
         curve = value.transData.transform(first.get_xydata())
         assert not inset.get_tightbbox().count_contains(curve)
 
+    @pytest.mark.slow
     def test_fonts_are_embeddable(self, tmp_path):
         path, rows = tmp_path / "a.pdf", [row("duo", "zero", 0.5)]
         for figure in (figures.success_figure(rows), drawn("fig4", "tangent-merged")):
@@ -211,6 +212,7 @@ class TestPrint:
             [size] = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+) ", written)
             assert float(size) / 72 == pytest.approx(figure.get_figwidth(), abs=0.01)
 
+    @pytest.mark.slow
     def test_palette_is_small(self, tmp_path):
         names = ["bearing-only", "tangent", "tangent-blocking", "tangent-merged", "learned"]
         rows = [row(f"clutter-{k}", name, 0.5) for k in (4, 8, 12) for name in names]
@@ -233,6 +235,7 @@ class TestPrint:
 
 
 class TestEpisodes:
+    @pytest.mark.slow
     def test_dollar_in_name_is_literal(self, tmp_path):
         """No text of the figure is a formula."""
         name, policy = r"m$x$ $\bad{$", r"runs/$\worse{$"
@@ -274,6 +277,7 @@ class TestEpisodes:
         assert axes.get_zlabel() == "z (m)" and len(axes.collections) == 12
 
 
+@pytest.mark.slow
 def test_compare_writes_pdf_and_sweeps(tmp_path):
     names = ("clutter-4", "clutter-8")
     config = compare.Config(names, ("bearing-only",), episodes=2, keep=0, out=tmp_path, pdf=True)

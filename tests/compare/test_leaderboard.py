@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import ROOT, contents
+from parameters import slow
 
 import rendezvous_env as rv
 from rendezvous_env import scenarios
@@ -321,7 +322,7 @@ def test_every_algorithm_has_description():
     assert known["ppo-cbf"].given != "bearings" and "leaderboard" in cli.COMMANDS
 
 
-@pytest.mark.parametrize("tier", ["smoke", "mini"])
+@pytest.mark.parametrize("tier", ["smoke", slow("mini")])
 def test_shipped_records_reproduce_tables(tier, monkeypatch):
     out = ROOT / "results" / "leaderboard" / tier
     cards = run_records.read_records(out)

@@ -256,6 +256,7 @@ class TestRefusals:
 
 
 class TestLocks:
+    @pytest.mark.slow
     def test_concurrent_compare_is_rejected(self, tmp_path, one_line):
         """A killed process releases its lock."""
         out, words = tmp_path / "out", "compare --scenarios duo --episodes 1 --no-figures".split()

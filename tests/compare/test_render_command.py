@@ -81,6 +81,7 @@ class TestGif:
         assert seconds(tmp_path / "a.gif") == pytest.approx(expected, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(
     "ignore:unclosed file:ResourceWarning",  # of the library's reader, as is the next
     "ignore::pytest.PytestUnraisableExceptionWarning",

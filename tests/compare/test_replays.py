@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import ROOT
+from parameters import slow
 from rendezvous_env.baselines.learned.plain_data import digest
 from report_data import arrays_of
 
@@ -50,6 +51,7 @@ def kept_of(board, card):
     return replays.read_replay(replays.path_of(run_records.path_in(board, card)), card["results"])
 
 
+@pytest.mark.slow
 def test_replay_matches_record_and_initial_condition(board):
     found = run_records.read_records(board)
     assert [(card["algorithm"], card["field"]) for card in found] == [
@@ -148,7 +150,7 @@ def test_foreign_replay_is_rejected(board, tmp_path):
         replays.read_replay(path, card["results"])
 
 
-@pytest.mark.parametrize("tier", ["smoke", "mini"])
+@pytest.mark.parametrize("tier", ["smoke", slow("mini")])
 def test_every_shipped_record_has_replay(tier):
     out = ROOT / "results" / "leaderboard" / tier
     first = [card for card in run_records.read_records(out) if card["seed"] == 0]

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 import baselines
 from rendezvous_env import rollout
@@ -21,6 +22,7 @@ def runs(scenario, count, episodes, seed):
     return found, upper_bound.row_of(scenario, found)
 
 
+@pytest.mark.slow
 def test_first_run_is_merged_interval_rule():
     """The other runs differ from it and from each other."""
     found, _ = runs(CLUTTER, 4, episodes=20, seed=5)
@@ -72,6 +74,7 @@ def test_planner_is_upper_bound():
     assert len(found) == 2 and row["collision_free_planner"] == 1.0
 
 
+@pytest.mark.slow
 def test_compare_writes_ceiling_and_planner(tmp_path, capsys):
     """The bound has a separate row, with a legend in the table."""
     names = {job.policy for job in plan(Config(("duo",), out=tmp_path))}

@@ -134,6 +134,7 @@ def test_robots_rest_before_their_first_activation():
     assert not moves[:3].any()
 
 
+@pytest.mark.slow
 def test_turning_robots_keep_or_stop_their_turn_rate():
     clocks = {"activation": {"kind": "periodic", "period": 2, "phase": 0}}
     for hold in ("command", "stop"):

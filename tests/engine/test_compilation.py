@@ -2,6 +2,7 @@
 
 import gc
 import importlib
+import operator
 import pkgutil
 import textwrap
 from typing import NamedTuple
@@ -17,6 +18,7 @@ import train
 from rendezvous_env import compilation, kernel_cache
 
 
+@pytest.mark.slow
 def test_kernel_inlined_checks_bounds(tmp_path):
     """Inlined kernels count no references, but errors must still propagate."""
     (tmp_path / "reading.py").write_text(
@@ -42,6 +44,24 @@ def test_kernel_refuses_to_allocate(decorate, inline):
 
     with pytest.raises(numba.core.errors.NumbaError, match=r"(?i)nrt|allocat|zeros"):
         caller(3)
+
+
+def test_kernel_refuses_to_allocate_what_another_kernel_may():
+    """Signatures of numba's functions are remembered for either; a leak would go unnoticed."""
+    assert compilation.kernel(allocates=True)(lambda n: np.ones(n).sum())(3) == 3.0
+    with pytest.raises(numba.core.errors.NumbaError, match=r"(?i)nrt|allocat|ones"):
+        compilation.kernel(lambda n: np.ones(n).sum())(3)
+
+
+def test_compilation_leaves_the_typing_of_numba_alone():
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+    context = numba.core.registry.cpu_target.typing_context
+    before = {*vars(context)}
+    assert compilation.kernel(lambda x: x * 2.0 + x)(3.0) == 9.0
+    assert type(context) is numba.core.typing.Context and {*vars(context)} == before
+    for function in (operator.add, operator.mul, operator.getitem):
+        assert type(context.resolve_value_type(function)) is numba.types.Function
 
 
 def test_kernel_with_allocates_returns_arrays():
@@ -185,6 +205,7 @@ def test_kernel_compiled_for_a_kernel_gets_an_entry_when_python_calls_it():
     assert not compilation.compiled() or len(successor.overloads) == 1
 
 
+@pytest.mark.slow
 def test_compilation_changes_nothing_of_numba_for_others(tmp_path):
     """Function numbers and settings are kept, and a user's kernels are unaffected."""
     script = """

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import actions_shape, assert_same_state
-from parameters import slow
+from parameters import marked, slow
 from strategies import refusal
 from test_activation import tape
 
@@ -17,7 +17,7 @@ PLANE = rv.Scenario(n_robots=N, local_frames="global", max_speed=9.0)
 TAU = PLANE.tau
 SPACE = PLANE.replace(dim=3)
 BOTH = pytest.mark.parametrize("scenario", [PLANE, slow(SPACE)], ids=["plane", "space"])
-BATCHES = pytest.mark.parametrize("batch", [2, 40])
+BATCHES = pytest.mark.parametrize("batch", [2, slow(40)])
 ALL = {
     "plane": {"n_crashed": 1, "n_blind": 2, "slip": 0.3, "compass_walk": 0.5, "disturbance": 0.2},
     "space": {"dim": 3, "n_adversarial": 1, "disturbance_noise": 0.2, "compass_drift": 0.4},
@@ -210,7 +210,7 @@ def test_disturbance_never_exceeds_its_bound_and_has_no_direction(scenario):
         assert abs((first * second).mean()) < 3e-4
 
 
-@pytest.mark.parametrize("name", [*ALL])
+@pytest.mark.parametrize("name", marked(ALL, slow=["space", "turning"]))
 def test_batch_equals_singles_with_events(name):
     scenario = eventful(**ALL[name], spawn_size=4.0, time_limit=2.0)
     law = baselines.make("unicycle" if name == "turning" else "bearing-only", scenario)

@@ -230,6 +230,7 @@ def test_cache_key_of_a_type_covers_the_functions_that_it_chooses(monkeypatch):
     assert misses() == misses() == 1  # no later process finds a type of the script that is run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chosen", [slow(False), True], ids=["folder and home", "NUMBA_CACHE_DIR"])
 def test_cache_without_a_writable_folder_warns_once(tmp_path, chosen):
     package(tmp_path, 0.5)
@@ -284,6 +285,7 @@ def test_cache_recompiles_damaged_code(own_folder):
     assert misses() == 0  # and kept
 
 
+@pytest.mark.slow
 def test_cache_compiles_once_in_processes_that_start_together(tmp_path):
     """The other processes wait for the code of the first."""
     package(tmp_path, 0.5)
@@ -353,44 +355,66 @@ EDITS = {
 """File, text, edited text, and scenario fields that reveal the edit."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", EDITS)
-def test_cache_notices_an_edit_of_each_kind(kind, tmp_path):
-    """The numbers change; most kernels in use are loaded from disk."""
-    file, text, edited, fields = EDITS[kind]
-    shutil.copytree(ROOT / "rendezvous_env", tmp_path / "rendezvous_env")
-    script = f"""
-        import hashlib
-        import numpy as np
-        from rendezvous_env.kernel_cache import KernelCache
-        load, found = KernelCache.load_overload, []
-        def noted(cache, *arguments):
-            code = load(cache, *arguments)
-            found.append(code is not None)
-            return code
-        KernelCache.load_overload = noted
-        import rendezvous_env as rv
-        simulator = rv.Simulator(rv.Scenario(n_robots=4, **{fields}), 2)
+SCRIPT = """
+    import hashlib, sys
+    import numpy as np
+    from rendezvous_env.kernel_cache import KernelCache
+    load, found = KernelCache.load_overload, []
+    def noted(cache, *arguments):
+        code = load(cache, *arguments)
+        found.append(code is not None)
+        return code
+    KernelCache.load_overload = noted
+    import rendezvous_env as rv
+    for fields in sys.argv[1:]:
+        simulator = rv.Simulator(rv.Scenario(n_robots=4, **eval(fields)), 2)
         seen = [simulator.reset(seed=0)]
         for _ in range(3):
             step = simulator.step(np.full((2, 4, simulator.scenario.action_size), 0.3, np.float32))
             seen += [step.observations, step.rewards, simulator.positions]
         text = b"".join(np.ascontiguousarray(array).tobytes() for array in seen)
-        print(hashlib.sha256(text).hexdigest(), len(found), found.count(False))
+        print(hashlib.sha256(text).hexdigest())
+    print(len(found), found.count(False))
+"""
+
+
+def stepped(folder: Path, *fields: str) -> tuple[list[str], int, int]:
+    """Digests of a few steps in scenarios, and the numbers of kernels in use and of those compiled.
+
+    A new process runs the package in the folder.
     """
-    ours = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", "")}
+    ours = {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", "")}
+    found = run_python(folder, "-c", textwrap.dedent(SCRIPT), *fields, **ours)
+    *digests, kernels, misses = found.stdout.split()
+    return digests, int(kernels), int(misses)
 
-    def run():
-        found = run_python(tmp_path, "-c", textwrap.dedent(script), **ours)
-        digest, kernels, misses = found.stdout.split()
-        return digest, int(kernels), int(misses)
 
-    before, _, _ = run()
-    assert run()[::2] == (before, 0)
-    source = tmp_path / "rendezvous_env" / file
-    assert source.read_text().count(text) == 1
-    source.write_text(source.read_text().replace(text, edited))
-    after, kernels, misses = run()
-    assert after != before
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory):
+    """Folder of a copy of the package, with kernels on the disk, and the digests of all kinds."""
+    folder = tmp_path_factory.mktemp("copied")
+    shutil.copytree(ROOT / "rendezvous_env", folder / "rendezvous_env")
+    fields = [fields for *_, fields in EDITS.values()]
+    before, _, _ = stepped(folder, *fields)
+    again, _, misses = stepped(folder, *fields)
+    assert again == before and misses == 0
+    return folder, dict(zip(EDITS, before, strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", EDITS)
+def test_cache_notices_an_edit_of_each_kind(kind, copied):
+    """The numbers change; most kernels in use are loaded from disk."""
+    file, text, edited, fields = EDITS[kind]
+    folder, before = copied
+    source = folder / "rendezvous_env" / file
+    kept = source.read_text()
+    assert kept.count(text) == 1
+    source.write_text(kept.replace(text, edited))
+    try:
+        (after,), kernels, misses = stepped(folder, fields)
+    finally:
+        source.write_text(kept)
+    assert after != before[kind]
     wide = kind in ("physics", "shape")  # contact, sensing and resets of obstacles use their shapes
     assert misses < (kernels if wide else 0.5 * kernels)  # none if an earlier run left the code

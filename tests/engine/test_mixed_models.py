@@ -94,6 +94,7 @@ def test_mixed_models_each_robot_moves_as_in_a_team_of_its_model(case):
     assert np.ptp([one["positions"] for one in mixed], axis=0).max(axis=-1).min() > 0.0
 
 
+@pytest.mark.slow
 @IN_PLANE
 def test_mixed_models_batch_equals_singles(case):
     for one, other in zip(played(team(case), 1), played(team(case), 40), strict=True):
@@ -113,6 +114,7 @@ def test_mixed_models_frames_of_all_robots_are_drawn(case):
     assert np.abs(squares - np.eye(sim.scenario.dim) / sim.scenario.dim).max() < spread
 
 
+@pytest.mark.slow
 def test_mixed_models_last_row_is_that_of_each_model():
     scenario = team("space", obstacles=())
     layout = scenario.observation_layout
@@ -206,6 +208,7 @@ def test_mixed_models_in_training_environments_by_name(case):
     np.testing.assert_array_equal(np.stack([*rows.values()]), seen[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", marked(["rails", "space"], slow=["rails"]))
 def test_mixed_models_in_stable_baselines3(case):
     sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")

@@ -160,6 +160,7 @@ def test_stop_holds_obstacle_up_until_robot_leaves(speed):
     assert sim.obstacle_offsets[0, 0, 0] > 2.5 + 0.4 * speed
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_squeezed_robot_stops_the_obstacle():
     wall = rv.Polygon(((4.0, -5.0), (5.0, -5.0), (5.0, 5.0), (4.0, 5.0)))
@@ -204,7 +205,7 @@ def test_waypoints_repeat_and_end():
     np.testing.assert_allclose(resting(stays, 60).obstacle_offsets[0, 0], [2.0, 0.0])
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, slow(3)])
 def test_random_walk_stays_in_its_box_and_depends_on_the_seed(dim):
     shape = DISC if dim == 2 else rv.Sphere((0.0,) * 3, 0.5)
     box = ((-1.0,) * dim, (2.0,) * dim)

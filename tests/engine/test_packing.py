@@ -108,6 +108,7 @@ class TestEpisodes:
         moved = np.linalg.norm(np.diff(found.positions, axis=0), axis=-1)
         assert moved.max() <= 0.2 * 0.033 + 1e-9
 
+    @pytest.mark.slow
     def test_unicycles_pack_alike_in_any_batch(self):
         scenario = rv.scenarios.get("utias-5-pack").replace(time_limit=400.0)
         policy = baselines.make("search-and-pursue", scenario)

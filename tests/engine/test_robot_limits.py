@@ -120,6 +120,7 @@ def test_limits_refuses_wrong_lists(fields, message):
     assert not isinstance(found.value, UnknownFieldError)
 
 
+@pytest.mark.slow
 def test_body_radius_of_each_robot_occludes():
     places = [[0.0, 0.0], [4.0, 0.0], [2.0, 0.08]]
     hidden = rv.Sensing(occlusion="robots")
@@ -220,6 +221,7 @@ def test_mixed_team_moves_each_robot_by_its_own_model():
             np.testing.assert_allclose(moved[:, i], way, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_mixed_team_batch_equals_singles():
     for one, other in zip(played(mixed(), 1), played(mixed(), 7), strict=True):
         for name in ("positions", "memory", "merged_into"):
@@ -261,6 +263,7 @@ def test_mixed_team_with_global_frames_has_them():
     assert (sim.frames[0, 1] != np.eye(2)).any()
 
 
+@pytest.mark.slow
 def test_mixed_team_meets_under_the_laws_of_its_robots():
     met = rv.rollout("mixed-8", baselines.make("by-model", "mixed-8"), num_envs=20)
     assert met.success.all()

@@ -1,6 +1,7 @@
 """Teams whose robots differ in sight, errors, detection and delay."""
 
 import dataclasses
+import json
 import math
 import pickle
 
@@ -32,16 +33,22 @@ SENSORS = {
         [[2.0, 0.4], [4.0, 0.9]],
     ],
     "persistence": [0.5, 0.0, 0.1, 3.0, 1e-9],
+    "noise_correlation": [0.4, 0.1, 0.0, 2.0, 0.0],
+    "sample_period": [0.0, 0.05, 0.0, 0.02, 0.03],
+    "view_falloff": [0.0, 0.3, 0.0, 0.5, 0.1],
+    "error": [0.0, 0.2, 0.01, 3.0, 0.0],
+    "sectors": [None, 8, 720, 16, None],
+    "occlusion": ["none", "robots", "both", "obstacles", "none"],
+    "outlier_kind": ["uniform", "robot", "uniform", "robot", "uniform"],
 }
-DETECTED = {"detection": [[0.0, 1.0]]}  # misses of one chance and of several use one stream
-OTHERS = {
-    "plain": DETECTED,
-    "measured": {
-        "noise_correlation": 0.4, "outlier_kind": "robot", "sectors": 720,
-    },
-}  # fmt: skip
-FIELDS = {"plain": (*PER_ROBOT[:5], "bias", "delay"), "measured": tuple(SENSORS)}
-"""Fields that differ: with observer_bias, noise of one level is applied in another order."""
+SECONDS = [0.0, 0.04, 0.0, 0.0, 0.1]  # delay_time of robots without a delay
+FIELDS = {
+    "plain": (*PER_ROBOT[:5], "bias", "delay"),
+    "white": ("noise", "noise_correlation", "dropout", "observer_bias", "bias", "error"),
+    "measured": tuple(SENSORS),
+}
+"""Fields that differ."""
+OTHERS = {"plain": {}, "white": {"field_of_view": 4.0}, "measured": {}}
 TEAMS = {
     "plane": WALLED,
     "space": SPACE,
@@ -53,12 +60,15 @@ TEAMS = {
 
 def own(robot: int, others: str = "measured") -> dict:
     """Sensor fields of one robot."""
-    return {name: SENSORS[name][robot] for name in FIELDS[others]}
+    late = {"delay_time": SECONDS[robot]} if others == "measured" else {}
+    return {name: SENSORS[name][robot] for name in FIELDS[others]} | late
 
 
 def mixed(others: str) -> rv.Sensing:
     """Sensor whose fields differ between robots."""
-    return rv.Sensing(**{name: SENSORS[name] for name in FIELDS[others]}, **OTHERS[others])
+    late = {"delay_time": SECONDS} if others == "measured" else {}
+    fields = {name: SENSORS[name] for name in FIELDS[others]} | late
+    return rv.Sensing(**fields, **OTHERS[others])
 
 
 def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
@@ -71,7 +81,7 @@ def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
 
 
 @pytest.mark.parametrize("others", OTHERS)
-@pytest.mark.parametrize("team", marked(TEAMS, kernels=["space"]))
+@pytest.mark.parametrize("team", marked(TEAMS, slow=["space"], kernels=["space"]))
 def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
     scenario, common = TEAMS[team], OTHERS[others]
     found = seen(scenario.replace(sensing=mixed(others)), 2)
@@ -84,7 +94,7 @@ def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
 
 
 @pytest.mark.parametrize("others", OTHERS)
-@pytest.mark.parametrize("team", TEAMS)
+@pytest.mark.parametrize("team", marked(TEAMS, slow=["space"]))
 def test_sensors_batch_equals_singles(team, others):
     scenario = TEAMS[team].replace(sensing=mixed(others))
     many = seen(scenario, 40)
@@ -113,8 +123,8 @@ def test_sensors_view_falloff_ends_at_the_edge_of_each_robot():
 def test_sensors_given_one_by_one_are_fields_of_one_sensor():
     listed = [rv.Sensing(**own(robot)) for robot in range(5)]
     scenario = PLANE.replace(sensing=listed)
-    assert scenario.sensing == rv.Sensing(**SENSORS)
-    assert set(scenario.sensing.per_robot) == set(PER_ROBOT) - {"delay_time"}
+    assert scenario.sensing == rv.Sensing(**SENSORS, delay_time=SECONDS)
+    assert set(scenario.sensing.per_robot) == set(PER_ROBOT)
     tables = [{name: value for name, value in own(k).items() if value} for k in range(5)]
     assert PLANE.replace(sensing=tables) == scenario
 
@@ -123,41 +133,58 @@ def test_sensors_that_see_all_round_need_no_view_falloff():
     cameras = [rv.Sensing(field_of_view=view, view_falloff=0.4) for view in (2.0, 3.0)]
     scenario = WALLED.replace(sensing=[rv.Sensing(), *cameras, rv.Sensing(), rv.Sensing()])
     views = [2.0 * math.pi, 2.0, 3.0, 2.0 * math.pi, 2.0 * math.pi]
-    assert scenario.sensing == rv.Sensing(field_of_view=views, view_falloff=0.4)
+    borders = [0.0, 0.4, 0.4, 0.0, 0.0]
+    assert scenario.sensing == rv.Sensing(field_of_view=views, view_falloff=borders)
+    common = scenario.replace(sensing=rv.Sensing(field_of_view=views, view_falloff=0.4))
+    np.testing.assert_array_equal(seen(scenario, 2), seen(common, 2))
 
 
 def test_sensors_survive_plain_data_and_toml(tmp_path):
-    scenario = PLANE.replace(sensing=rv.Sensing(**SENSORS, view_falloff=0.2))
+    scenario = PLANE.replace(sensing=mixed("measured"))
+    assert eval(repr(scenario.sensing), {"Sensing": rv.Sensing}) == scenario.sensing
+    assert json.loads(json.dumps(scenario.to_plain())) == scenario.to_plain()
     assert rv.Scenario.from_plain(scenario.to_plain()) == scenario
     scenario.to_toml(tmp_path / "own.toml")
     again = rv.Scenario.from_toml(tmp_path / "own.toml")
-    assert again == scenario and 'range = [\n    "unlimited",\n    3.0' in (
-        tmp_path / "own.toml"
-    ).read_text(encoding="utf-8")
+    written = (tmp_path / "own.toml").read_text(encoding="utf-8")
+    assert again == scenario and 'range = [\n    "unlimited",\n    3.0' in written
+    assert 'sectors = [\n    "none",\n    8' in written
 
 
 def test_sensors_that_are_equal_are_one():
     camera = rv.Sensing(
         range=4.0, field_of_view=2.0, noise=0.1, dropout=0.2, min_range=0.1, observer_bias=0.1,
         outliers=0.1, bias=0.1, delay=2, detection=[[1.0, 0.5], [2.0, 0.3]], persistence=0.3,
+        noise_correlation=0.2, sample_period=0.1, view_falloff=0.3, error=0.1, sectors=90,
+        occlusion="both", outlier_kind="robot",
     )  # fmt: skip
     equal = {name: [getattr(camera, name)] * 5 for name in PER_ROBOT}
     assert PLANE.replace(sensing=equal).sensing == camera
     assert rv.Sensing(**equal).departures() == camera.departures()
-    assert rv.Sensing(range=[None] * 5, detection=[[], []], delay=[0, 0]).exact
+    assert rv.Sensing(range=[None] * 5, detection=[[], []], sectors=[None, "none"]).exact
     assert PLANE.replace(sensing={"detection": [[]] * 5, "delay_time": [0.0] * 5}) == PLANE
     assert PLANE.replace(sensing=[camera] * 5) == PLANE.replace(sensing=camera)
     assert PLANE.replace(sensing=[rv.Sensing()] * 5) == PLANE
 
 
+OF_ANOTHER_KIND = {
+    "detection": [[1.0, 0.5]], "sectors": 8, "occlusion": "robots", "outlier_kind": "robot",
+}  # fmt: skip
+
+
+def test_all_fields_but_custom_take_lists():
+    assert {*PER_ROBOT, "custom"} == {one.name for one in dataclasses.fields(rv.Sensing)}
+
+
 @pytest.mark.parametrize("name", PER_ROBOT)
 def test_lists_of_equal_values_keep_their_length_in_copies(name):
-    value = [[1.0, 0.5]] if name == "detection" else 1
-    copied = dataclasses.replace(rv.Sensing(**{name: [value] * 3}), sectors=90)
+    value = OF_ANOTHER_KIND.get(name, 1)
+    views = {} if name == "field_of_view" else {"field_of_view": 3.0}
+    copied = dataclasses.replace(rv.Sensing(**{name: [value] * 3}, **views), custom=())
     with pytest.raises(ValueError, match=f"sensing.{name} is .*; it must be 5 "):
         PLANE.replace(sensing=copied)
     with pytest.raises(ValueError, match=rf"sensing\[0\].{name} is .*one value, not a list"):
-        PLANE.replace(sensing=[copied, *[rv.Sensing(sectors=90)] * 4])
+        PLANE.replace(sensing=[copied, *[rv.Sensing()] * 4])
     again = rv.Sensing(**copied.to_plain())
     assert again == copied == pickle.loads(pickle.dumps(copied)) and again.per_robot == (name,)
 
@@ -217,6 +244,14 @@ def test_persistence_of_each_robot_has_its_correlation():
         ({"delay": [0, 1], "delay_time": 0.2}, r"delay is \[0, 1\] steps and .* 0.2 s; .* one of"),
         ({"persistence": [0.1, -1.0]}, r"sensing.persistence\[1\] is -1.0"),
         ({"bias": [0.1, "much"]}, r"sensing.bias\[1\] is 'much'"),
+        ({"delay": [0, 1], "delay_time": [0.1, 0.2]}, r"delay_time is \[0.1, 0.2\] s; .* one of"),
+        ({"sectors": [8, 1]}, r"sensing.sectors\[1\] is 1; .*, or None for exact bearings$"),
+        ({"occlusion": ["none", "fog"]}, r"sensing.occlusion\[1\] is 'fog'; .*'obstacles'"),
+        ({"occlusion": ["none", "both"]}, "sensing.occlusion is .*; it must be 5 words, one for"),
+        ({"outlier_kind": ["robot"]}, "sensing.outlier_kind is .*; it must be 5 words"),
+        ({"error": [0.1, 4.0]}, r"sensing.error\[1\] is 4.0"),
+        ({"sample_period": [0.1, -1.0]}, r"sensing.sample_period\[1\] is -1.0"),
+        ({"view_falloff": [0.0, 0.1]}, r"view_falloff is \[0.0, 0.1\] rad and .* full circle"),
     ],
 )
 def test_sensors_are_refused_by_field_value_and_remedy(given, message):
@@ -229,20 +264,17 @@ def test_sensors_are_refused_by_field_value_and_remedy(given, message):
     [
         ([], "a Sensing, or a list of one for each robot"),
         (
-            [{"noise_correlation": 1.0}] + [{}] * 4,
-            r"sensing\[1\].noise_correlation is 0.0; it must be 1.0 as that of robot 0",
+            [{"custom": ["sunlight"]}] + [{}] * 4,
+            r"sensing\[1\].custom is \(\); it must be \('sunlight',\) as .*every field but custom",
         ),
         ([{"noise": [0.1, 0.2]}] * 5, r"sensing\[0\].noise is \[0.1, 0.2\]; it must be one val"),
         ([{}, {"range": -1.0}, {}, {}, {}], r"sensing\[1\].range is -1.0"),
-        (
-            [{"field_of_view": 2.0, "view_falloff": 0.1}] + [{"field_of_view": 2.0}] * 4,
-            r"sensing\[1\].view_falloff is 0.0; it must be 0.1 as that of robot 0",
-        ),
         ([1] * 5, r"sensing\[0\] is 1; it must be a Sensing"),
         ([{"noise": 0.1}] * 3, "sensing is .*; it must be 5 entries, one for each robot"),
     ],
 )
 def test_sensors_given_one_by_one_are_refused_by_field_value_and_remedy(given, message):
+    rv.sensor_imperfection("sunlight", lambda seen: None)
     with pytest.raises(ValueError, match=message):
         PLANE.replace(sensing=given)
 
@@ -307,6 +339,42 @@ def test_certificate_refuses_sensors_that_hide_neighbours(field, values):
     for by in ("law", "links"):
         found = rv.certificate(scenario, by=by)
         assert not found.guaranteed and field in found.theorem
+
+
+def test_certificate_of_errors_is_that_of_the_robot_that_errs_most():
+    errors = {"error": [0.01, 0.0, 0.02, 0.01, 0.0, 0.02], "sectors": [None, None, 900, *[800] * 3]}
+    own = RING.replace(graph="complete", sensing=rv.Sensing(**errors))
+    worst = own.replace(sensing=rv.Sensing(error=0.02 + math.pi / 800))
+    bounds = [rv.certificate(one) for one in (own, worst)]
+    assert bounds[0].guaranteed and bounds[0].time_bound == bounds[1].time_bound < math.inf
+    assert bounds[0].bearing_error == bounds[1].bearing_error == 0.02 + math.pi / 800
+
+
+def test_certificate_of_robots_some_of_which_are_occluded_is_that_of_all_occluded():
+    hidden = [
+        RING.replace(graph="complete", sensing=rv.Sensing(occlusion=kinds))
+        for kinds in (["robots", *["none"] * 5], "robots", [*["robots"] * 5, "both"])
+    ]
+    some, every, behind = map(rv.certificate, hidden)
+    assert some.guaranteed and some.time_bound == every.time_bound < math.inf
+    assert not behind.guaranteed and "occlusion = ('robots'," in behind.theorem
+    assert "sensing.occlusion is ['robots', 'none'" in rv.certificate(hidden[0], by="links").theorem
+
+
+def test_mean_time_needs_one_sample_period():
+    periods = [0.1] * 5 + [0.2]
+    for more in ({"dropout": 0.2}, {}):
+        found = rv.certificate(RING.replace(sensing=rv.Sensing(sample_period=periods, **more)))
+        assert not found.guaranteed and found.expected_time_bound == math.inf
+        assert "sample_period" in found.theorem
+
+
+def test_rows_of_each_robot_are_held_for_its_sample_period():
+    tau, periods = 0.02, [0.0, 0.04, 0.08, 0.02, 0.4]
+    still = PLANE.replace(time_step=tau, sensing=rv.Sensing(noise=0.1, sample_period=periods))
+    found = seen(still, 1, 21)[:, 0]
+    changes = (found[1:] != found[:-1]).any(axis=(2, 3))
+    assert changes.sum(axis=0).tolist() == [20, 10, 5, 20, 1]
 
 
 def test_sensors_of_each_robot_in_interfaces():

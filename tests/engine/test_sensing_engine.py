@@ -139,6 +139,7 @@ def test_noise_is_gaussian_per_pair_and_step(sigma):
         assert abs(np.mean(squares)) < 7.0 / math.sqrt(one.size), name
 
 
+@pytest.mark.slow
 def test_noise_of_pair_is_independent_of_graph():
     found, one_way = [], rv.graphs.directed_cycle()
     for graph in ("complete", "cycle", rv.graphs.switching([one_way, "path"], 1.0)):
@@ -179,6 +180,7 @@ def test_obstacle_points_are_rotated_independently(scenario, field):
     assert (np.abs(again - first).max() < 1e-4) == (field == "bias")
 
 
+@pytest.mark.slow
 @BOTH
 def test_adversarial_error_rotates_bearings_outwards(scenario):
     eta, everybody = 0.3, np.arange(5)
@@ -291,6 +293,7 @@ def test_obstacles_and_robots_occlude(what):
     assert (hidden > 10) == (what != "none")
 
 
+@pytest.mark.slow
 def test_spheres_occlude_in_3d():
     places = np.array([[-3, 0.2, 0], [3, 0.2, 0], [0.3, 3, 0.05], [0.3, 5, 0.05], [0, 0, 4.0]])
     sim = started(sensing(SPACE, occlusion="both"), positions=places)

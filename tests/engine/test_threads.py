@@ -115,6 +115,7 @@ def test_share_runs_slices_concurrently_and_waits_for_the_slowest():
     assert sorted(done) == [(0, 4), (4, 8)]
 
 
+@pytest.mark.slow
 @KINDS
 def test_share_releases_the_arguments_of_its_calls(kind):
     """Even if a thread that woke too late still has the job."""

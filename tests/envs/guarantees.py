@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import MODELS, five
 from gymnasium.spaces import Discrete
+from parameters import slow
 
 import rendezvous_env as rv
 from rendezvous_env import vector
@@ -49,6 +50,8 @@ GUARANTEES = {
     "gains": Guarantee("GainWrapper", {"min_gain": 0.3, "max_gain": 2.0}, RATES | {"gain"}, False),
     "links": Guarantee("LinkKeepingWrapper", {"share": 0.2, "bearing_error": 0.05}, RATES, False),
 }
+TURNING = [("heading", "unicycle"), ("tank", "nonholonomic_3d")]
+"""Guarantees of nonholonomic robots in fast tests."""
 NAMES = [each.name for each in GUARANTEES.values()]
 WHICH_AND_KIND = [
     (which, kind)
@@ -56,7 +59,13 @@ WHICH_AND_KIND = [
     for kind in MODELS
     if guarantee.anywhere or kind.startswith("single")
 ]
-which_and_kind = pytest.mark.parametrize(("which", "kind"), WHICH_AND_KIND)
+which_and_kind = pytest.mark.parametrize(
+    ("which", "kind"),
+    [
+        pair if pair[1] == "single_integrator-2d" or pair in TURNING else slow(*pair)
+        for pair in WHICH_AND_KIND
+    ],
+)
 
 
 def make(which, kind="single_integrator-2d", *, changes=None, **options):

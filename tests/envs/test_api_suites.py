@@ -48,8 +48,16 @@ PARALLEL = {
     **{f"training, {name}": partial(rv.training_env, SCENARIO, **FORMS[name]) for name in FORMS},
 }
 
+AEC = [*TEAMS, *WRAPPED]
+FAST = {
+    *(f"{kind}, remove" for kind in MODELS),
+    *(f"{which}, single_integrator-2d" for which in GUARANTEES),
+    *("unicycle, follow", "training, preset", "training, discrete"),
+}
+"""Environments in fast tests."""
 
-@pytest.mark.parametrize("name", marked(PARALLEL, slow=["with inertia"]))
+
+@pytest.mark.parametrize("name", marked(PARALLEL, slow=PARALLEL.keys() - FAST))
 def test_pettingzoo_parallel_api(name, capsys):
     build = PARALLEL[name]
     suites.parallel_api_test(build(), num_cycles=300)
@@ -58,7 +66,7 @@ def test_pettingzoo_parallel_api(name, capsys):
     assert not same(*(build().reset(seed=seed)[0] for seed in (1, 2)))
 
 
-@pytest.mark.parametrize("name", marked([*TEAMS, *WRAPPED], slow=["with inertia"]))
+@pytest.mark.parametrize("name", marked(AEC, slow={*AEC} - FAST))
 def test_aec_api(name, capsys):
     build = PARALLEL[name]
     if name in TEAMS:

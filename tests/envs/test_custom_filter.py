@@ -63,6 +63,7 @@ def test_custom_filter_works_in_every_environment():
     teams.step(np.zeros(teams.action_space.shape, np.float32))
 
 
+@pytest.mark.slow
 def test_filter_instance_serves_one_wrapper():
     scenario = rv.scenarios.get("duo")
     for home, make in (

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import MODELS
 from guarantees import GUARANTEES, WHICH_AND_KIND, draw, make, same
+from parameters import marked
 from test_custom_filter import HalfSpeed
 from test_gymnasium_env import SCENARIOS, small
 from test_training_env import FORMS, SCENARIO
@@ -48,7 +49,7 @@ def spoil(given):
             spoil(part)
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize("name", marked(ENVIRONMENTS, slow=[*ENVIRONMENTS][1::2]))
 def test_state_pickle_and_deepcopy_continue_alike(name):
     """Independent of later changes to arrays returned or received by the copies."""
     build, random = ENVIRONMENTS[name], np.random.default_rng(0)

@@ -210,6 +210,7 @@ CYCLE = rv.Scenario(n_robots=6, graph=rv.graphs.directed_cycle(), time_limit=300
 TANK = partial(vector.EnergyTankWrapper, budget=20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrap", "scenario", "expected"),
     [

@@ -58,6 +58,7 @@ def test_dataframe_row_matches_arrays(fig4):
     assert table["contact"].sum() == fig4.contacts.sum()
 
 
+@pytest.mark.slow
 def test_dataset_has_all_arrays_with_units(fig4):
     found = fig4.to_xarray()
     absent = {"headings", "obstacle_offsets"}

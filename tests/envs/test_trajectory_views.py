@@ -205,6 +205,7 @@ def test_report_shows_what_delayed_noisy_sensors_showed(tmp_path):
     assert lengths == pytest.approx(wanted, abs=1e-3)
 
 
+@pytest.mark.slow
 @needs_browser
 def test_report_opens_in_a_browser(found, browser, tmp_path):
     from report.browsing import visited

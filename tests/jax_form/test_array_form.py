@@ -21,6 +21,7 @@ from rendezvous_env.safety.heading import (
 from rendezvous_env.sensors.chance import cosine_and_sine, gaussian
 
 
+@pytest.mark.slow
 def test_random_streams_equal_the_engine_bit_by_bit(rj):
     import jax.numpy as jnp
 
@@ -36,6 +37,7 @@ def test_random_streams_equal_the_engine_bit_by_bit(rj):
             np.testing.assert_array_equal(streams.uniform(key, jnp.arange(50), jnp.float64), drawn)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", [first_crossing, mean_speed, mean_cos_sin])
 def test_forms_that_select_equal_kernels_that_branch(kernel, rj):
     array_form = importlib.import_module("rendezvous_env.jax.arrays.array_form").array_form
@@ -95,6 +97,7 @@ def _shapes(kind, dim):
 SHAPES = [("capsule", 2), ("polygon", 2), ("sphere", 3), ("capsule", 3)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "dim"),
     [("disc", 2), *(slow(*one) for one in SHAPES)],
@@ -192,6 +195,7 @@ def test_random_rotations_equal_the_kernels_when_compiled(kernel, rj):
     np.testing.assert_allclose(np.asarray(found), expected, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, slow(3)])
 def test_certified_headings_equal_the_filter(dim, rj):
     form = importlib.import_module("rendezvous_env.jax.arrays.array_form").array_form

@@ -12,6 +12,8 @@ from rendezvous_env.obstacles import obstacle_set
 from rendezvous_env.obstacles.contact import SLIDE, STOP, move_straight
 from rendezvous_env.obstacles.obstacle_set import SKIN
 
+pytestmark = pytest.mark.usefixtures("less_optimised")
+
 WORLDS = {
     "mixed": [
         rv.Capsule(((-1.0, -1.0), (1.0, 1.5)), 0.4),
@@ -43,6 +45,7 @@ def fields_of(name):
     return fields.Fields(scenario, jnp.float64), world
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "mode"), [("seams", SLIDE), *LONG])
 def test_contacts_equal_the_kernels(name, mode, rj):
     import jax
@@ -97,9 +100,12 @@ def test_gradients_of_contacts_equal_differences(name, mode, rj):
         met, executed = move(fields.world(None, 1), tuple(given[0, :dim]), tuple(given[1, :dim]))
         return sum(f * part for f, part in zip(factors, executed, strict=False)), met
 
-    value = jax.jit(lambda given: along(given)[0])
-    slopes, met = jax.jit(jax.grad(lambda given: (lambda a, m: (a.sum(), m))(*along(given)),
-                                   has_aux=True))(jnp.asarray(given))  # fmt: skip
+    def total(given):
+        values, met = along(given)
+        return values.sum(), (values, met)
+
+    both = jax.jit(jax.grad(total, has_aux=True))
+    slopes, (_, met) = both(jnp.asarray(given))
     assert np.isfinite(slopes).all()
     clearance = np.full(400, np.inf)
     for m in range(len(world.kinds)):
@@ -110,7 +116,7 @@ def test_gradients_of_contacts_equal_differences(name, mode, rj):
     for part, axis in np.ndindex(2, dim):
         step = np.zeros_like(given)
         step[part, axis] = h
-        ahead, here, behind = (value(given + k * step) for k in (1, 0, -1))
+        ahead, here, behind = (both(given + k * step)[1][0] for k in (1, 0, -1))
         found[part, axis] = (ahead - behind) / (2 * h)
         smooth &= np.abs(ahead - 2 * here + behind) < 1e-4 * h
     apart = smooth & (clearance > 2 * h)  # a start moved by h must not be inside an obstacle

@@ -6,6 +6,8 @@ from parameters import marked
 
 import rendezvous_env as rv
 
+pytestmark = pytest.mark.usefixtures("less_optimised")
+
 MODELS = {
     "single integrators": ("cloud-8", {"dim": 2}),
     "single integrators in 3-D": ("cloud-8", {}),
@@ -22,6 +24,7 @@ def together(state):
     return state.replace(positions=places)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", marked(MODELS, slow=MODELS.keys() - {"single integrators"}))
 def test_gradients_are_finite_at_singular_states(model, rj):
     """Coincident robots, f = 0 between two others, actions of zero, and robots at rest."""
@@ -74,12 +77,13 @@ def test_gradient_of_edge_weights_and_meeting_time_equals_differences(rj):
         return shares.sum(), (state.merged_into != jnp.arange(3)).sum()
 
     edges, h = np.array([0.7, 1.1, 0.9]), 1e-6
-    (_, merged), slope = jax.jit(jax.value_and_grad(cost, has_aux=True))(edges)
+    both = jax.jit(jax.value_and_grad(cost, has_aux=True))
+    (_, merged), slope = both(edges)
     assert merged > 0, "the gradient passed no merge"
-    value = jax.jit(lambda edges: cost(edges)[0])
     for k in range(3):
         step = h * np.eye(3)[k]
-        difference = (value(edges + step) - value(edges - step)) / (2 * h)
+        (ahead, _), (behind, _) = (both(edges + way)[0] for way in (step, -step))
+        difference = (ahead - behind) / (2 * h)
         assert slope[k] == pytest.approx(float(difference), rel=1e-4, abs=1e-7)
 
 
@@ -128,11 +132,13 @@ def test_gradients_through_contact_equal_differences(case, rj):
         state, contacts = jax.lax.scan(advance, state, None, 26)
         return (weights * state.positions).sum() + 0.1 * state.path_length, contacts[-1]
 
-    (_, touched), slopes = jax.jit(jax.value_and_grad(cost, argnums=(0, 1), has_aux=True))(
-        jnp.asarray(places), 0.9
-    )
+    both, h = jax.jit(jax.value_and_grad(cost, argnums=(0, 1), has_aux=True)), 1e-5
+    (_, touched), slopes = both(jnp.asarray(places), 0.9)
     assert touched > 5, "hardly a contact"
-    value, h = jax.jit(lambda *at: cost(*at)[0]), 1e-5
+
+    def value(*at):
+        return both(*at)[0][0]
+
     for i in range(n):
         for axis in range(d):
             step = np.zeros((n, d))

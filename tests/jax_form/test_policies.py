@@ -125,6 +125,7 @@ def test_laws_equal_their_numpy_forms(jax_policies):
     )
 
 
+@pytest.mark.slow
 def test_rule_in_planes_equals_the_kernel(jax_policies):
     """Random cones of all widths, with and without a kept plane."""
     import jax

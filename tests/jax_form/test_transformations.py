@@ -39,11 +39,13 @@ def test_gradients_equal_central_differences_through_merges(rj):
         last, _ = run(jax, env, state, observations, steps, gain)
         return last.lyapunov + last.path_length, last
 
-    (_, last), (slope, slope_of_gain) = jax.jit(
-        jax.value_and_grad(cost, argnums=(0, 1), has_aux=True)
-    )(begun[1].positions, 0.5)
+    both = jax.jit(jax.value_and_grad(cost, argnums=(0, 1), has_aux=True))
+    (_, last), (slope, slope_of_gain) = both(begun[1].positions, 0.5)
     assert (last.merged_into != jnp.arange(3)).any(), "the gradient passed no merge"
-    value = jax.jit(lambda *at: cost(*at)[0])
+
+    def value(*at):
+        return both(*at)[0][0]
+
     places = np.asarray(begun[1].positions)
     for i, axis in ((0, 0), (1, 1), (2, 0)):
         moved = np.zeros_like(places)
@@ -90,6 +92,7 @@ def test_one_team_equals_its_row_in_a_batch_and_under_vmap(rj):
         np.testing.assert_allclose(np.moveaxis(np.asarray(ours), -1, 0), theirs, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_key_draws_seeds_of_its_own(rj):
     import jax
 
@@ -117,6 +120,7 @@ def test_traced_seeds_are_refused_and_traced_keys_accepted(rj):
     assert observations.shape == (4, *env.reset(0)[0].shape)
 
 
+@pytest.mark.slow
 def test_float32_starts_agree_to_its_precision(rj):
     import jax
 
@@ -150,6 +154,7 @@ def test_float32_steps_agree_for_actions_whose_square_is_out_of_range(guarantee,
     np.testing.assert_allclose(places, engine.unwrapped.simulator.positions, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_spaces_hold_observations_and_are_those_of_make_vec(rj):
     engine = rv.make_vec("uav-6", num_envs=3)
     env = rj.make("uav-6", num_envs=3)
@@ -194,6 +199,7 @@ def test_what_is_not_a_number_stays_in_its_team(rj):
     assert (state.merged_into[:, 1] != np.arange(3)).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wide", [False, slow(True)])
 @pytest.mark.parametrize(
     ("name", "guarantee", "changes"),

@@ -64,6 +64,7 @@ def test_global_state_exists_without_visible_neighbours():
     assert simulator.initial_lyapunov[0] == 0.0 < simulator.lyapunov()[0]
 
 
+@pytest.mark.slow
 def test_merged_robots_are_absent_and_final_state_is_of_ended_episode():
     env = make_environments(CONFIG, 0)
     env.reset(seed=3)

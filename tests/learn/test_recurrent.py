@@ -78,6 +78,7 @@ def test_merged_robot_has_no_memory(collected):
     assert not policy.hidden[::2].any() and policy.hidden[1::2].any(dim=-1).all()
 
 
+@pytest.mark.slow
 def test_merged_robot_is_valued_by_survivor(monkeypatch):
     """The value uses the survivor's observation, and its hidden state before the reset."""
     made, told, merges = model(steps=2), [], 0

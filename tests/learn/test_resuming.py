@@ -49,6 +49,7 @@ class TestResume:
         assert f"at step {3 * UPDATE:,}" in said and f"step-{3 * UPDATE:012d}" in said
         assert_same_run(whole, folder)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "more",
         [
@@ -93,6 +94,7 @@ class TestResume:
             ppo.run(config(tmp_path / "run"))
         assert signal.getsignal(signal.SIGINT) is before
 
+    @pytest.mark.slow
     def test_rows_after_checkpoint_are_removed(self, tmp_path):
         """A kill leaves rows of updates that will be repeated, and half a row."""
         folder = tmp_path / "run"
@@ -105,6 +107,7 @@ class TestResume:
         steps = [int(row["step"]) for row in metrics(folder)]
         assert steps == [UPDATE * (k + 1) for k in range(8)]
 
+    @pytest.mark.slow
     def test_damaged_checkpoint_is_skipped(self, whole, tmp_path, capsys):
         folder = tmp_path / "run"
         stopped_after(config(folder), 5)
@@ -143,6 +146,7 @@ class TestResume:
             on = settings.resumed(given, run)
             assert (on.total_steps, on.eval_episodes, on.checkpoint_every) == found
 
+    @pytest.mark.slow
     def test_interrupt_before_first_checkpoint_resumes(self, whole, tmp_path, monkeypatch):
         folder = tmp_path / "run"
         monkeypatch.setattr(trainer.Trainer, "save", lambda *state: 1 / 0)

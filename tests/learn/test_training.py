@@ -94,6 +94,7 @@ class TestLearning:
         alignment = [float(row["alignment"]) for row in rows]
         assert np.mean(alignment[-4:]) > np.mean(alignment[:4]) + 0.1
 
+    @pytest.mark.slow
     def test_curriculum_changes_obstacles(self, tmp_path):
         stages = {"curriculum": (0, 3), "fewest_obstacles": 1, "total_steps": 4 * UPDATE}
         changed = config(tmp_path, **stages)
@@ -110,6 +111,7 @@ class TestLearning:
         with pytest.raises(UserError, match="another network"):
             ppo.run(config(tmp_path / "wider", start_from=whole, set_width=9))
 
+    @pytest.mark.slow
     def test_scenario_overrides_apply(self, tmp_path, capsys):
         """As ``compare --set``; held-out initial conditions also use the changed scenario."""
         more = {"total_steps": 2 * 8 * 3 * 16, "eval_every": 1}
@@ -141,6 +143,7 @@ class TestLearning:
 class TestResult:
     """Results of the Python API, and its callbacks."""
 
+    @pytest.mark.slow
     def test_result_holds_last_metrics_and_best_evaluation(self, tmp_path):
         told = []
         result = ppo.run(
@@ -193,6 +196,7 @@ class TestResult:
         through = (row(1, math.nan, 0.2), row(2, math.nan, 0.3))
         assert result_of(*through).best == through[1:]
 
+    @pytest.mark.slow
     def test_callback_returning_true_ends_resumable_run(self, whole, tmp_path, capsys):
         folder = tmp_path / "run"
         result = ppo.run(config(folder), on_update=lambda update, metrics: update == 3)
@@ -202,6 +206,7 @@ class TestResult:
         resumed(folder)
         assert_same_run(folder, whole)
 
+    @pytest.mark.slow
     def test_double_precision_default_does_not_change_run(self, whole, tmp_path):
         torch.set_default_dtype(torch.float64)
         try:
@@ -211,6 +216,7 @@ class TestResult:
             torch.set_default_dtype(torch.float32)
         assert_same_run(tmp_path / "run", whole)
 
+    @pytest.mark.slow
     def test_pruned_trial_exception_propagates(self, tmp_path):
         """As Optuna's exception, which is raised in the middle."""
         with pytest.raises(ZeroDivisionError):

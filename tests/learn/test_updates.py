@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from parameters import slow
 from stable_baselines3 import PPO
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
@@ -53,7 +54,7 @@ def after(model, train):
     return {k: v.detach() for k, v in own.policy.named_parameters()}, told
 
 
-@pytest.mark.parametrize("memory", ["none", "recurrent"])
+@pytest.mark.parametrize("memory", ["none", slow("recurrent")])
 def test_update_equals_stable_baselines3(memory):
     """One batch, over which both normalise advantages; three gradient steps."""
     model = collected(memory)
@@ -69,7 +70,7 @@ def test_update_equals_stable_baselines3(memory):
     assert expected["train/clip_fraction"] > 0
 
 
-@pytest.mark.parametrize("memory", ["none", "recurrent"])
+@pytest.mark.parametrize("memory", ["none", slow("recurrent")])
 def test_threads_do_not_change_update(memory, set_threads):
     model = collected(memory, batch_size=600)
     found = []

@@ -6,6 +6,7 @@ from conftest import started
 from geometry import world
 from hypothesis import given
 from hypothesis import strategies as st
+from parameters import slow
 
 from rendezvous_env import Disc, Scenario
 from rendezvous_env.graphs.merging import contract, contract_arcs, merge_swept
@@ -139,6 +140,7 @@ def test_merged_into_follows_survivor():
     np.testing.assert_array_equal(sim.positions, np.tile(sim.positions[:, :1], (1, 4, 1)))
 
 
+@pytest.mark.slow
 def test_merge_at_lower_index_if_midpoint_is_in_obstacle():
     disc = world([Disc((0.4, 0.0), 0.05)])
     moved = Moved([[0, 0], [0.8, 0]], np.zeros((2, 2)), [[0, 1], [1, 0]], disc)
@@ -158,7 +160,7 @@ def test_merge_may_raise_v_within_bound():
     assert tight.report[3] <= 0  # … within r max(0, D_i + D_j − 4 a_ij) = 4.4 − 0.8
 
 
-@pytest.mark.parametrize("in_an_obstacle", [False, True])
+@pytest.mark.parametrize("in_an_obstacle", [False, slow(True)])
 def test_bound_is_attained_by_four_collinear_robots(in_an_obstacle):
     """Midpoint: r (D_1 + D_2 − 4 a_12); position of the lower index: r (2 max D − 4 a_12)."""
     weights = linked(4, (0, 1, 0.2), (0, 2, 1.0), (1, 3, 1.5))

@@ -325,6 +325,7 @@ def test_entry_matches_hand_computation():
     assert enter((0.0, 0.5, 0.0), (0.0, 1.0, 0.0)) == math.inf  # leaving
 
 
+@pytest.mark.slow
 @given(points, points, radii)
 def test_capsule_edges_match_fine_polygon(point, half, radius):
     point[2] = half[2] = 0.0
@@ -342,6 +343,7 @@ def test_capsule_edges_match_fine_polygon(point, half, radius):
         assert math.hypot(edge[0], edge[1]) == pytest.approx(1) and edge[2] == 0
 
 
+@pytest.mark.slow
 @given(points, points, points, radii)
 def test_every_ray_is_tangent_in_3d(point, half, net_bearing, radius):
     point, half = tuple(point), tuple(half)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import shapely
 from geometry import arc, body_frame, mean_body_axis, world
+from parameters import slow
 from test_contact import MICRON, move_one_curved, move_one_straight
 
 from rendezvous_env.obstacles.capsule import Capsule
@@ -209,7 +210,7 @@ def test_stop_mode_stops_at_first_surface(dim):
     assert 0.2 < contact.mean() < 0.9
 
 
-@in_both
+@pytest.mark.parametrize("dim", [slow(2), 3])
 def test_curved_contact_matches_dense_sampling(dim):
     scenes, starts, inputs, _, moved = curved(dim)
     stopped, contact = moved[STOP]

@@ -42,7 +42,7 @@ ELSEWHERE = {
 }  # fmt: skip
 ALSO_ELSEWHERE = [f"{name} {field}" for field, names in ELSEWHERE.items() for name in names]
 NAMES = [*baselines.names(), *FILTERED, *ALSO_ELSEWHERE]
-OTHER_KINDS = {"damped", *ALSO_ELSEWHERE}
+OTHER_KINDS = {"damped", "by-model", *ALSO_ELSEWHERE}
 """Kinds of environments excluded from fast tests."""
 SEES = [name for name in NAMES if not name.startswith(("privileged", "random"))]
 
@@ -148,7 +148,11 @@ def test_memory_matters_and_foreign_batches_are_rejected():
 
 @pytest.mark.parametrize(
     "name",
-    [name for name in SEES if name != "quantised" and is_single_integrator(made(name)[1])],
+    [
+        slow(name) if name in OTHER_KINDS else name
+        for name in SEES
+        if name != "quantised" and is_single_integrator(made(name)[1])
+    ],
 )
 def test_policies_are_rotation_equivariant(name):
     """Actions do not depend on the orientation of local axes, except for sectors."""
@@ -164,6 +168,7 @@ def test_policies_are_rotation_equivariant(name):
         seen = simulator.step(actions).observations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{}, {"dim": 3}, *(slow({"graph": kind}) for kind in ("path", "star", "random_tree"))],

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from geometry import along, body_frame
+from parameters import slow
 
 import baselines
 import rendezvous_env as rv
@@ -90,7 +91,7 @@ def test_unit_mean_law_meets_within_bound(graph):
     assert (found.rendezvous_time <= 2 * bound).all()
 
 
-@pytest.mark.parametrize("name", ["cyclic-pursuit", "nearest-pursuit"])
+@pytest.mark.parametrize("name", ["cyclic-pursuit", slow("nearest-pursuit")])
 def test_pursuit_meets_within_theorem_g_bound(name):
     """The target of a robot changes at merges; the sum of its gains is always v."""
     team = TEAM.replace(time_step=0.005)
@@ -203,6 +204,7 @@ def view(scenario, *rows):
 class TestPursuitByRobotsWithATurnLimit:
     """Robots pursue one target at a time, and align before they drive."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
     def test_pursuit_meets_within_bound(self, model, dim):
         scenario = CARS.replace(robot_model=model, dim=dim)
@@ -239,6 +241,7 @@ class TestPursuitByRobotsWithATurnLimit:
         policy.reset()
         assert turns(left, right, left) == [1, -1, 1, 1]
 
+    @pytest.mark.slow
     def test_windshield_matches_equation(self):
         policy = baselines.make("windshield", CARS, half_angle=0.3, speed=0.2)
         for angle, turn in [(0.29, 0), (0.31, 4), (-0.31, -4), (3.0, 4), (0.0, 0)]:
@@ -264,7 +267,7 @@ class TestPursuitByRobotsWithATurnLimit:
         with pytest.raises(ValueError, match=message):
             baselines.make(name, CARS, **options)
 
-    @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
+    @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), slow("nonholonomic_3d", 3)])
     def test_pursuer_turns_then_drives_straight(self, model, dim):
         scenario = CARS.replace(
             n_robots=3, dim=dim, robot_model=model, max_turn_rate=3.0, max_speed=0.2,

@@ -114,6 +114,7 @@ def heading_of(cones, carried=NONE, aside=NONE):
     return out[0], asides[0]
 
 
+@pytest.mark.slow
 def test_tuned_rule_keeps_plane_and_side_while_blocked():
     """The edge of a cone is at 0.1 rad on the side −y, widened by 0.1 with a clearance of 0.2.
 

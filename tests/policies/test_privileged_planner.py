@@ -136,6 +136,7 @@ class TestItPasses:
         found = rv.rollout(scenario, planner(scenario), 1_000_000, num_envs=100)
         assert clean(found).mean() >= 0.99
 
+    @pytest.mark.slow
     def test_planner_is_collision_free_within_speed_limit(self):
         found = rv.rollout(CLUTTER, planner(CLUTTER), 0, num_envs=50, record="actions")
         assert clean(found).mean() >= 0.99

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import LAWS
 from geometry import along
-from parameters import slow
+from parameters import first_fast, slow
 from robot_actions import neighbour_reading
 from scipy.optimize import linear_sum_assignment
 
@@ -62,7 +62,7 @@ IN_SPACE = (
 
 
 @pytest.mark.parametrize(
-    ("name", "scenario"), [*IN_THE_PLANE, *(slow(*pair) for pair in (*UNICYCLES, *IN_SPACE))]
+    ("name", "scenario"), first_fast([*IN_THE_PLANE, *UNICYCLES, *IN_SPACE], 4)
 )
 def test_robot_policy_equals_batch(name, scenario):
     """In 3-D up to float32 rounding, in whole episodes; in the plane also up to summation order."""
@@ -98,7 +98,7 @@ SPACE = {"robot_model": ["single_integrator", "nonholonomic_3d"] * 2, "max_speed
 
 
 @pytest.mark.parametrize(
-    "scenario", ["mixed-8", rv.Scenario(n_robots=4, dim=3, **SPACE)], ids=["plane", "space"]
+    "scenario", ["mixed-8", slow(rv.Scenario(n_robots=4, dim=3, **SPACE))], ids=["plane", "space"]
 )
 def test_robots_of_a_mixed_team_act_as_in_the_team(scenario):
     """Each by its index, under the law of its model, with its own limits."""
@@ -180,10 +180,16 @@ def assert_robots_act_as_team(scenario, robots, team, steps=60):
 @pytest.mark.parametrize(
     ("kind", "team"),
     [
-        *((kind, team) for kind in ("heading", "tank") for team in TEAMS),
-        *(("law", team) for team in ("unicycles last", "unicycle first", "3-D", "speeds")),
-        *((kind, team) for kind in ("learned", "learned-tank") for team in ("speeds", "3-D rates")),
+        *(
+            slow(kind, team) if team.startswith("3-D") else (kind, team)
+            for kind in ("heading", "tank")
+            for team in TEAMS
+        ),
+        *(("law", team) for team in ("unicycles last", "unicycle first", "speeds")),
+        *(slow(kind, "3-D rates") for kind in ("learned", "learned-tank")),
+        *((kind, "speeds") for kind in ("learned", "learned-tank")),
         *((kind, "turn rates") for kind in ("learned", "learned-tank", "unicycle")),
+        slow("law", "3-D"),
     ],
 )
 def test_robots_of_a_teams_policy_act_as_in_the_team(kind, team):
@@ -266,7 +272,7 @@ def test_actions_are_float64_that_messages_of_robots_can_hold(policy, scenario):
     assert all(isinstance(value, float) for value in action)  # what a message field must be
 
 
-@pytest.mark.parametrize("name", ["learned", "tangent-merged-tuned", "learned-tank"])
+@pytest.mark.parametrize("name", first_fast(["learned", "tangent-merged-tuned", "learned-tank"]))
 def test_asynchronous_team_keeps_margin_and_meets(name):
     """Each robot ticks 10 to 50 ms after its last tick, and holds its velocity."""
     field = rv.scenarios.get("clutter-8")

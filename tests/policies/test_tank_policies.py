@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from parameters import slow
 
 import baselines
 import rendezvous_env as rv
@@ -28,11 +29,11 @@ def made(scenario=CLUTTER, **options):
     ("name", "budget", "teams", "least"),
     [
         pytest.param("clutter-24", 0.0, 32, 10_000, marks=pytest.mark.kernels),
-        ("clutter-24", 5.0, 32, 10_000),
+        slow("clutter-24", 5.0, 32, 10_000),
         ("slab-3d", 5.0, 32, 10_000),
-        ("unicycle-clutter-24-slow", 0.0, 120, 100_000),
-        ("unicycle-clutter-24-slow", 5.0, 120, 100_000),
-        ("uav-clutter-16", 50.0, 32, 20_000),
+        slow("unicycle-clutter-24-slow", 0.0, 120, 100_000),
+        slow("unicycle-clutter-24-slow", 5.0, 120, 100_000),
+        slow("uav-clutter-16", 50.0, 32, 20_000),
     ],
 )
 def test_v_plus_ledger_decreases_without_contact(name, budget, teams, least):
@@ -57,7 +58,7 @@ def test_v_plus_ledger_decreases_without_contact(name, budget, teams, least):
         assert clean > (0.9 if name == "slab-3d" else 0.8)
 
 
-@pytest.mark.parametrize("field", ["clutter-8", "unicycle-clutter-24-slow"])
+@pytest.mark.parametrize("field", ["clutter-8", slow("unicycle-clutter-24-slow")])
 def test_tank_leaves_bay_unlike_heading(field):
     """A heading policy rests there for ever, as leaving would increase V."""
     bay = rv.scenarios.get(field).replace(name="bay", time_limit=60.0, **BAY)

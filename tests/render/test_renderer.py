@@ -210,6 +210,7 @@ class TestTile:
         assert (frames[1:] != frames[0]).any(axis=(1, 2, 3)).all()
 
 
+@pytest.mark.slow
 def test_pygame_is_imported_with_first_picture(tmp_path):
     code = (
         "import sys, rendezvous_env as rv; env = rv.parallel_env('duo', render_mode='rgb_array');"

@@ -102,6 +102,7 @@ class TestWindow:
         venv.close()
         assert venv.renderer.window is None
 
+    @pytest.mark.slow
     def test_missing_display_error_names_remedy(self, tmp_path):
         code = (
             "import rendezvous_env as rv\n"

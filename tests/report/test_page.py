@@ -180,6 +180,7 @@ def test_numbers_are_not_truncated(width, scenario, opened):
     assert cut == []
 
 
+@pytest.mark.slow
 def test_about_section_lists_scenario(opened, recorded):
     """Orange obstacles at their positions, a robot's colour at its initial position."""
     disc = next(one for one in outlines(recorded("obstacles"), 2) if not len(one.vertices))

@@ -82,6 +82,7 @@ class TestReplay:
         right = opened.locator(".v .u-over").nth(1).bounding_box()
         assert head["x"] == pytest.approx(right["x"] + 0.25 * right["width"], abs=2)
 
+    @pytest.mark.slow
     def test_values_match_time(self, opened, recorded):
         times = recorded("times")
         frame = len(times) // 2
@@ -184,6 +185,7 @@ class TestAddress:
             "robot": ["2"], "t": ["0.05"],
         }  # fmt: skip
 
+    @pytest.mark.slow
     def test_address_is_followed(self, opened):
         fragment = "#scenario=uav-6&start=1&policy=zero&robot=4&t=0.5"
         with reloaded(opened):

@@ -60,6 +60,7 @@ def text(compared):
 
 
 class TestPage:
+    @pytest.mark.slow
     def test_page_rows_equal_files(self, folder):
         assert cli.main(["report", str(folder)]) == 0
         data, _ = data_of((folder / "report.html").read_text(encoding="utf-8"))

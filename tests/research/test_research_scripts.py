@@ -65,6 +65,7 @@ def test_update_without_episode_leaves_gap(folder):
     np.testing.assert_allclose(training.get_ydata(), [45, np.nan, 55])
 
 
+@pytest.mark.slow
 def test_tank_figure_is_drawn():
     scenario = rv.scenarios.get("clutter-8").replace(time_limit=4.0)
     network = make_network(SETTINGS.layout(3, 8), len(SETTINGS.angles), set_width=4, hidden=(8,))

@@ -238,6 +238,7 @@ def test_two_robots_have_closed_form_bound():
     assert found.time_bound == close(5 / (2 * 0.5) + pair.tau)
 
 
+@pytest.mark.slow
 def test_bound_g_is_at_most_bound_a():
     """Clusters, lines and clouds, on all graphs, with and without a speed limit."""
     random = np.random.default_rng(0)

@@ -107,6 +107,7 @@ def test_given_weights_require_own_environment():
     assert "create the environment from that scenario" in " ".join(certificate.__doc__.split())
 
 
+@pytest.mark.slow
 def test_given_obstacles_require_own_environment():
     """With obstacles, tanks are not reduced at merges: the last two may use all energy."""
     places = 4.0 * np.random.default_rng(5).normal(size=(8, 2))

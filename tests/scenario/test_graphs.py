@@ -147,6 +147,7 @@ def contractions(weights: np.ndarray):
         yield from contractions(merged[np.ix_(keep, keep)])
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.integers(2, 6), st.integers(0, 10**6))
 def test_merges_never_exceed_worst_case(n, seed):

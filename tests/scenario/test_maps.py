@@ -459,6 +459,7 @@ class TestMapScenario:
         inside = shapely.contains_xy(self.region().buffer(1e-9), *positions.reshape(-1, 2).T)
         assert inside.all()
 
+    @pytest.mark.slow
     def test_pettingzoo_and_vector_environments_start_in_region(self):
         env = rv.parallel_env(self.FILE)
         observations, _ = env.reset(seed=4)
@@ -475,6 +476,7 @@ class TestMapScenario:
             together, *_ = venv.step(batch)
             assert np.array_equal(together[0], np.array(list(observations.values())))
 
+    @pytest.mark.slow
     def test_stable_baselines3_environment_starts_in_region(self):
         sb3 = pytest.importorskip("rendezvous_env.adapters.sb3")
         robots = sb3.RobotVecEnv(rv.vector.training_env(self.FILE, 2))
@@ -482,6 +484,7 @@ class TestMapScenario:
         actions = np.array([robots.action_space.sample() for _ in range(12)])
         assert np.isfinite(robots.step(actions)[0]).all()
 
+    @pytest.mark.slow
     def test_render_command_shows_map(self, tmp_path, capsys):
         picture = tmp_path / "office.png"
         words = f"render --scenario {self.FILE} --policy bearing-only --out {picture}"

@@ -184,7 +184,7 @@ WRONG = {
     "dropout": (-0.1, 1.1, math.nan, math.inf, None),
     "delay": (-1, 1.5, 10_001, math.nan, None, True, 10**400),
     "sectors": (1, 0, -4, 2.5, 10**7, math.inf, "many"),
-    "occlusion": ("all", "", None, True, ["both"]),
+    "occlusion": ("all", "", None, True, {"both"}),
 }
 UNLIKE = {
     "range": 3.0, "field_of_view": 2.0, "noise": 0.1, "bias": 0.2, "error": 0.3,
@@ -220,6 +220,7 @@ def test_camera_is_a_sensing_preset():
     assert not rv.certificate(scenario).guaranteed
 
 
+@pytest.mark.slow
 def test_mrclam_preset_loses_robots_in_the_blind_zone_and_outside_its_view():
     """Two robots face each other at each distance, and one faces away."""
     sensing = rv.Sensing.mrclam()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import shapely
 from conftest import started
+from parameters import first_fast
 
 import rendezvous_env as rv
 from rendezvous_env import ObstacleField, Scenario, WallField
@@ -123,16 +124,18 @@ class TestLayouts:
 
 class TestNobodyIsWalledIn:
     @pytest.mark.kernels
-    @pytest.mark.parametrize("name", ["trap", "corridor", "rooms"])
+    @pytest.mark.parametrize("name", first_fast(["trap", "corridor", "rooms"]))
     def test_no_robot_is_enclosed_in_thousand_starts(self, name):
         tables, positions = drawn(name, 1000)
         assert all(map(together, tables, positions))
 
+    @pytest.mark.slow
     def test_gaps_have_promised_width(self):
         """Discs enlarged by half a passage still enclose no robot."""
         tables, positions = drawn("clutter-32", 200)
         assert all(together(*start, wider=0.0999) for start in zip(tables, positions, strict=True))
 
+    @pytest.mark.slow
     @pytest.mark.kernels
     def test_reachability_agrees_with_shapely(self):
         """Two nearly closed concentric rings of discs with a robot inside and two outside.

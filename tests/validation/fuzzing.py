@@ -73,7 +73,7 @@ DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
 
 
 def fuzzed(
-    count: int, *values: st.SearchStrategy, kernels: bool = False
+    count: int, *values: st.SearchStrategy, kernels: bool = False, fast: bool = True
 ) -> Callable[[Callable[..., None]], Any]:
     """Decorator: run a check on a number of reproducible cases per effort.
 
@@ -81,11 +81,13 @@ def fuzzed(
         count: cases for an effort of one.
         values: strategies of the arguments of the check.
         kernels: whether the few cases carry the marker ``kernels``.
+        fast: whether a fast test runs few cases.
     """
     few = pytest.param(1, id="few", marks=[pytest.mark.kernels] * kernels)
+    efforts = [few, MANY] if fast else [MANY]
 
     def decorate(check: Callable[..., None]) -> Any:
-        @pytest.mark.parametrize("effort", [few, MANY])
+        @pytest.mark.parametrize("effort", efforts)
         def test(effort: int) -> None:
             health = list(HealthCheck)
             limits = {"max_examples": count * effort, "suppress_health_check": health}

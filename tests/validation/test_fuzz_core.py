@@ -36,7 +36,7 @@ from rendezvous_env.scenario.start_options import OPTIONS
 FILE = Path(tempfile.mkdtemp()) / "any.toml"
 
 
-@fuzzed(60, strategies.scenario_fields())
+@fuzzed(60, strategies.scenario_fields(), fast=False)
 def test_fuzz_scenarios(fields):
     plain = isinstance(fields.get("reward"), dict)
     scenario = attempt(lambda: Scenario.from_plain(fields) if plain else Scenario(**fields))
@@ -314,7 +314,7 @@ ROUND = rv.Polygon(2.0 * along(*0.36 * np.arange(1000)))
 wild = st.sampled_from([1e-3, 1.0, 30.0, 1e3, 1e6])
 
 
-@fuzzed(4, wild, wild, wild, st.integers(0, 99))
+@fuzzed(4, wild, wild, wild, st.integers(0, 99), fast=False)
 @example(1e3, 1e3, 1e3, 0)
 def test_fuzz_extreme_steps_among_obstacles(speed, turn_rate, step, seed):
     """Any speed, turn rate and step: finite, outside of obstacles, and fast."""

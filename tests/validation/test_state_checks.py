@@ -4,7 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, assert_same_state, five, law_of, refusing, started
+from conftest import MODELS, UNEQUAL, assert_same_state, five, law_of, refusing, started
+from parameters import first_fast
 from test_input_shapes import AMONG, TEAMS
 
 import rendezvous_env as rv
@@ -126,6 +127,7 @@ def test_non_state_is_rejected():
             refused(target, wrong, "must be a mapping")
 
 
+@pytest.mark.parametrize("kind", first_fast(MODELS))
 def test_states_of_all_phases_are_accepted(kind):
     """Before the first reset, partially reset, resting, running, merged, met, timed out."""
     scenario = five(kind, time_limit=1.0, spawn_size=3.0)

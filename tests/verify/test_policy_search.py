@@ -78,6 +78,7 @@ def search(out, policy, trials=24, **options):
     return status, read_csv(out / "policy.csv"), printed.getvalue()
 
 
+@pytest.mark.slow
 def test_search_finds_nothing_wrong_with_a_law_that_converges(own, tmp_path):
     status, rows, printed = search(tmp_path / "out", own + "half")
     assert status == 0
@@ -88,6 +89,7 @@ def test_search_finds_nothing_wrong_with_a_law_that_converges(own, tmp_path):
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["policy.csv"]
 
 
+@pytest.mark.slow
 def test_search_looks_for_what_it_is_asked_for(own, tmp_path):
     """Certified headings prevent increases of V, but not of the hull perimeter."""
     wanted = ("rise", "deadlock")
@@ -118,6 +120,7 @@ def test_search_finds_and_shrinks_every_kind_of_counterexample(own, tmp_path):
     assert f"--scenario {path} --policy {own}around" in printed
 
 
+@pytest.mark.slow
 def test_search_takes_rest_for_a_deadlock_only(own, tmp_path):
     _, rows, printed = search(tmp_path / "out", own + "resting", trials=6)
     found = {row["searched"]: row["violations"] for row in rows}
@@ -126,6 +129,7 @@ def test_search_takes_rest_for_a_deadlock_only(own, tmp_path):
     assert "1 counterexample, " in printed
 
 
+@pytest.mark.slow
 def test_search_takes_a_policy_that_fits_some_teams_only(own, tmp_path):
     status, _, _ = search(tmp_path / "out", own + "of_three", trials=60)
     assert status == 0
@@ -136,6 +140,7 @@ def test_search_names_a_policy_that_fails(own, tmp_path):
         search(tmp_path / "out", own + "late", trials=6)
 
 
+@pytest.mark.slow
 def test_search_takes_policies_and_scenarios_by_name(own, tmp_path):
     status, rows, _ = search(
         tmp_path, "bearing-only", trials=6, scenario="trap", set=("n_robots=3",)

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 import test_verify
+from parameters import first_fast, slow
 
 import rendezvous_env as rv
 from rendezvous_env.sensors.sensing import PER_ROBOT
@@ -43,6 +44,7 @@ def promising(monkeypatch, **limits):
     monkeypatch.setattr(falsification, "ask", wrong)
 
 
+@pytest.mark.slow
 def test_random_scenarios_cover_all_kinds():
     drawn = [trials_of(0, number, number)[0].scenario for number in range(600)]
     assert {scenario.sensing_graph.kind for scenario in drawn} == {
@@ -66,6 +68,7 @@ def test_random_scenarios_cover_all_kinds():
     assert 300 < len(given) < 600
 
 
+@pytest.mark.slow
 def test_random_scenarios_cover_clocks_and_events(monkeypatch):
     for share in ("_CLOCKED", "_EVENTFUL"):
         monkeypatch.setattr(random_scenarios, share, 0.9)
@@ -76,6 +79,7 @@ def test_random_scenarios_cover_clocks_and_events(monkeypatch):
     assert set().union(*(one.events.kinds for one in drawn)) == kinds
 
 
+@pytest.mark.slow
 def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypatch):
     before = [trials_of(0, number, number)[0].scenario for number in range(150)]
     monkeypatch.setattr(random_scenarios, "_VARIED", 0.0)
@@ -83,7 +87,7 @@ def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypa
     changed = sum(one != other for one, other in zip(before, plain, strict=True))
     assert 5 < changed < 0.25 * 150
     monkeypatch.setattr(random_scenarios, "_VARIED", 0.9)
-    drawn = [trials_of(0, number, number)[0].scenario for number in range(150)]
+    drawn = [trials_of(0, number, number)[0].scenario for number in range(240)]
     models = {name for one in drawn if one.mixes_models for name in one.robot_model}
     assert models == {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
     own = {name for one in drawn for name in one.sensing.per_robot}
@@ -98,6 +102,7 @@ def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypa
     assert bounded
 
 
+@pytest.mark.slow
 def test_random_gains_of_each_robot_are_within_those_of_all(monkeypatch):
     before = [trials_of(0, number, number)[3] for number in range(120)]
     monkeypatch.setattr(random_scenarios, "_VARIED", 0.0)
@@ -133,7 +138,7 @@ def test_equal_seed_gives_equal_scenario():
     assert trials_of(3, 17)[0].scenario != trials_of(4, 17)[0].scenario
 
 
-@pytest.mark.parametrize("by", CHOICES)
+@pytest.mark.parametrize("by", first_fast(CHOICES, 2))
 def test_valid_certificate_is_checked_to_its_bound(by):
     played = play(trial(PAIR, by))
     timed = {name for name, what in played.counts if what == "time"}
@@ -168,7 +173,7 @@ NOISY = trial(PAIR.replace(sensing=rv.Sensing(noise=0.3)))
     ("number", "limit", "given"),
     [
         ("time", (0.05,), trial()),
-        ("expected_time", (1 / 8,), NOISY),
+        slow("expected_time", (1 / 8,), NOISY),
         ("lyapunov", (0.3,), trial(by="tank", budget=1.0)),
         ("hull", 2.0, LOOSE),
         ("link_growth", -0.5, LOOSE),
@@ -277,6 +282,7 @@ def one_kind(monkeypatch):
     monkeypatch.setattr(random_scenarios, "draw_kind", lambda random: PLANE)
 
 
+@pytest.mark.slow
 def test_no_violation_is_found(tmp_path, one_kind):
     status, rows, printed = command(tmp_path, trials=30)
     assert status == 0 and printed.count("0 violations") == 1
@@ -287,6 +293,7 @@ def test_no_violation_is_found(tmp_path, one_kind):
     assert [path.name for path in tmp_path.iterdir()] == ["any.csv"]
 
 
+@pytest.mark.slow
 def test_violations_are_written_with_status_1(tmp_path, monkeypatch, one_kind):
     promising(monkeypatch, lyapunov=(0.5,))
     status, rows, printed = command(tmp_path, trials=36)

@@ -82,6 +82,7 @@ def test_trials_cover_all_kinds():
     assert {trial.frame for trial in drawn} == {"net_bearing", "local"}
 
 
+@pytest.mark.slow
 def test_merges_raise_v_within_bound():
     """The row merge-rise is not empty."""
     trial = BY_NAME["merge-rise"].draw(np.random.default_rng(3), 0, 0.3)
@@ -127,6 +128,7 @@ def test_flipped_law_is_detected(tmp_path, name):
     assert found == 1.0 and worst < -1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "bound", "share"), [("theorem-2", 20.0, 1.0), ("gate", 60.0, 0.9)]
 )
@@ -149,6 +151,7 @@ def test_uncertified_headings_are_detected(tmp_path, name, bound, share, monkeyp
     assert caught(tmp_path, claim, trials=2 * BATCH)[0] >= share
 
 
+@pytest.mark.slow
 def test_long_unscaled_step_is_detected(tmp_path, monkeypatch):
     draw = partial(cases.draw_team, step_factors=(4.0, 4.0 + 1e-9))
     claim = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)

@@ -176,7 +176,8 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     if trial.by not in ("gains", "policy"):
         arguments["bearing_error"] = bearing_error
     # errors beyond those of the sensor
-    seen = Misled(env, scenario, error, trial.seed) if error > scenario.sensing.error else env
+    beyond = error > scenario.sensing.largest("error")
+    seen = Misled(env, scenario, error, trial.seed) if beyond else env
     wrapped = guarded(seen, trial.by, arguments)
     options = None
     if trial.starts:

@@ -249,11 +249,12 @@ def _of_several_models(random: Random, scenario: rv.Scenario) -> rv.Scenario:
 def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
     """Scenario with sensors that differ between robots.
 
-    Half of them miss neighbours at random only or are delayed, for which a bound is known.
+    For half of them a bound is known: they miss neighbours at random only, are delayed, or err by
+    bounded angles.
     """
     n, r = scenario.n_robots, scenario.merge_radius
     if random.random() < 0.5 and scenario.sensing_graph.kind != "proximity":
-        sensing, step = _by_chance_or_late(random, scenario)
+        sensing, step = _with_a_bound(random, scenario)
         passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
         return scenario.replace(
             sensing=sensing,
@@ -277,16 +278,35 @@ def _of_several_sensors(random: Random, scenario: rv.Scenario) -> rv.Scenario:
         "delay_time": [log_uniform(random, 0.1, 4.0) * scenario.tau for _ in range(n)],
         "detection": [_table(random, r) for _ in range(n - 1)] + [[]],
         "persistence": [log_uniform(random, 0.1, 30.0) * scenario.tau for _ in range(n - 1)] + [0],
+        "noise_correlation": [log_uniform(random, 0.01, 10.0) for _ in range(n - 1)] + [0],
+        "sample_period": [log_uniform(random, 0.3, 9.0) * scenario.tau for _ in range(n - 1)] + [0],
+        "view_falloff": random.uniform(0.0, 1.0, n).tolist(),
+        "error": (np.pi / n * random.uniform(0.0, 1.2, n)).tolist(),
+        "sectors": [*random.integers(2, 200, n - 1).tolist(), None],
+        "occlusion": random.choice(["none", "obstacles", "robots", "both"], n).tolist(),
+        "outlier_kind": random.permutation(np.resize(["uniform", "robot"], n)).tolist(),
     }
-    names = random.permutation([*lists])[: pick(random, 1, 2, 3)]
+    names = random.permutation([*lists])[: pick(random, 1, 3, 5)]
     own = {name: lists[name] for name in names}
     if {"delay", "delay_time"} & {*own}:
+        late = random.random(n) < 0.5  # some by steps, the others by seconds
         own = {"delay": 0, "delay_time": 0.0} | own
+        for name, is_late in (("delay", late), ("delay_time", ~late)):
+            if isinstance(own[name], list):
+                own[name] = np.where(is_late, own[name], 0).tolist()
+    for name, other in (("noise_correlation", "noise"), ("outlier_kind", "outliers")):
+        if name in own and not scenario.sensing.largest(other):
+            own.setdefault(other, lists[other])
+    if "view_falloff" in own and scenario.sensing.smallest("field_of_view") > 6.0:
+        own.setdefault("field_of_view", lists["field_of_view"])
     return scenario.replace(sensing=dataclasses.replace(scenario.sensing, **own))
 
 
-def _by_chance_or_late(random: Random, scenario: rv.Scenario) -> tuple[rv.Sensing, float]:
-    """Sensors of robots that miss neighbours by chance alone, or are late, and a step, s."""
+def _with_a_bound(random: Random, scenario: rv.Scenario) -> tuple[rv.Sensing, float]:
+    """Sensors for which a theorem may hold, and a step, s.
+
+    Robots miss neighbours by chance alone, are late, err by bounded angles, or occlude each other.
+    """
     n, r, longest = scenario.n_robots, scenario.merge_radius, scenario.certified_step
     step = longest * log_uniform(random, 0.1, 1.0)
     own: dict[str, Any] = {"dropout": random.uniform(0.0, 0.8, n).tolist(), "noise": 0.0}
@@ -295,9 +315,15 @@ def _by_chance_or_late(random: Random, scenario: rv.Scenario) -> tuple[rv.Sensin
         delays = random.integers(0, 5, n)
         late = longest * random.uniform(0.3, 1.05) / (delays.max() + 1)
         return rv.Sensing(delay=delays.tolist()), float(late)
-    if more < 0.4:
+    if more < 0.35:
+        errors = np.pi / n * log_uniform(random, 0.001, 1.0) * random.random(n)
+        return rv.Sensing(error=errors.tolist()), step
+    if more < 0.45:
+        hidden = random.choice(["none", "robots"], n).tolist()
+        return rv.Sensing(occlusion=hidden, error=float(pick(random, 0.0, 0.1 / n))), step
+    if more < 0.6:
         own["persistence"] = [step * log_uniform(random, 0.03, 30.0) for _ in range(n)]
-    elif more < 0.6:
+    elif more < 0.75:
         own["detection"] = [_table(random, r) for _ in range(n - 1)] + [[]]
     return dataclasses.replace(by_chance(random, r, step), **own), step
 

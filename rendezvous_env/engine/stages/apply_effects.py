@@ -8,13 +8,13 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.edges import edge_weight, list_pairs, pair_index
+from ...graphs.edges import list_pairs, pair_index
 from ...physics.random_streams import word_of
 from ...physics.vectors import norm, scaled, subtract, to_local
 from ...sensors.chance import cosine_and_sine, gaussian, is_small, turned_by_angle, unit_number
 from ...sensors.effects import as_float32, distance_of, share_in_view, turned_about
 from ..memory import lane_count, load_fields, read_row, write_row
-from .apply_noise import DRAWS, draw_turns, halve, highest_word, keep, sensing_keys, turn_side
+from .apply_noise import end_of, halve, highest_word, keep
 from .remember import DETECTED, DRIFTED, OBSERVER, OUTLIER, is_due, parities, part_keys
 
 _DETECTS, _TURNS, _REPLACES = range(3)
@@ -33,7 +33,7 @@ def apply_effects(
     first,
     last,
     moves,
-    samples_per_step,
+    samples,
     effects,
     slots,
     in_order,
@@ -56,41 +56,39 @@ def apply_effects(
     """Drop rows of undetected neighbours, rotate the others, and replace outliers.
 
     Rows are as in ``apply_noise``; ``latent`` and ``errors`` are the memories of ``remember``. This
-    and the following stages skip blocks in which no sample is due.
+    and the following stages skip blocks in which no sample is due; ``samples`` are those of
+    ``samples_of``.
 
     Working memory: listed (2, E), weights (E,), counts (n,), keys (2, L), words (3, 4, L), buffer
     (≥ 3·L,).
     """
     n = robots.shape[1]
     for block in range(first, last):
-        if not is_due(width, moves, samples_per_step, environments[block]):
+        if not is_due(width, moves, samples, environments[block]):
             continue
         found = list_pairs(links, block, n, listed[0], listed[1], weights)
         for purpose in range(3):
             if not _is_called_for(effects, purpose):
                 continue
             streams = seeds, episodes, environments[block]
-            _begin(width, block, moves, purpose, effects, streams, keys, words)
+            _begin(width, block, moves, purpose, streams, keys, words)
             counts[:] = 0
             for e in range(found):
-                one, other = listed[0, e], listed[1, e]
-                couple = pair_index(one, other, n)
-                _draw(width, axes, purpose, effects, couple, keys, words)
-                pair = robots[block, one], robots[block, other]
+                ends = listed[0, e], listed[1, e]
+                couple = pair_index(ends[0], ends[1], n)
+                _draw(width, purpose, effects, couple, keys, words)
+                pair = robots[block, ends[0]], robots[block, ends[1]]
                 for side in range(2):
-                    i, j = (other, one) if side else (one, other)
+                    i, j, slot = end_of(links, block, n, ends, side, slots, in_order, counts)
                     if purpose == _DETECTS and (side == 0 or len(effects.chances) > 1):
                         _find_chances(width, axes, effects, i, pair, buffer)
-                    if edge_weight(links, block, n, i, j, 1.0) > 0.0:
-                        slot = counts[i] if in_order else j - (j > i)
-                        counts[i] += 1
-                        if slot < slots or not in_order:
-                            ends, row = (i, j, 2 * couple + side, side), rows[block - first, i]
-                            team = block, merged_into, robots, latent[block], errors[block]
-                            work = keys, words, buffer
-                            _apply(
-                                width, axes, entries, purpose, effects, ends, team, work, row[slot]
-                            )
+                    if slot >= 0:
+                        numbers, row = (i, j, 2 * couple + side, side), rows[block - first, i]
+                        team = block, merged_into, robots, latent[block], errors[block]
+                        work = keys, words, buffer
+                        _apply(
+                            width, axes, entries, purpose, effects, numbers, team, work, row[slot]
+                        )
 
 
 @inner_kernel(inline="code")
@@ -105,7 +103,7 @@ def _apply(width, axes, entries, purpose, effects, ends, team, work, row):
         robots_of, kept = (robots[block, i], robots[block, j]), (latent, number)
         _detect(width, axes, entries, effects, robots_of, i, side, kept, buffer, words, row)
     elif purpose == _TURNS:
-        _turn(width, axes, effects, i, side, (errors, number), keys, words, row)
+        _turn(width, axes, effects.levels[i], (errors, number), keys, words[2, 0], row)
     else:
         pair, team_now = (i, j, number), (block, merged_into, robots)
         _replace(width, axes, entries, effects, pair, team_now, keys, words[2, 1 + side], row)
@@ -115,31 +113,23 @@ def _apply(width, axes, entries, purpose, effects, ends, team, work, row):
 def _is_called_for(effects, purpose):
     if purpose == _DETECTS:
         return effects.blind or effects.detects
-    return effects.turns if purpose == _TURNS else effects.replaces
+    return effects.drifts if purpose == _TURNS else effects.replaces
 
 
 @inner_kernel
-def _begin(width, block, moves, purpose, effects, streams, keys, words):
-    """Write the stream keys of an effect; white noise uses those of ``apply_noise``.
-
-    With a memory, words[2] receives the ``parities`` of the step.
-    """
+def _begin(width, block, moves, purpose, streams, keys, words):
+    """Write the stream keys of an effect, and in words[2] the ``parities`` of the step."""
     seeds, episodes, environment = streams
-    if purpose == _TURNS and not effects.drifts:
-        sensing_keys(width, block, moves, seeds, episodes, environment, keys)
-    else:
-        part = DETECTED if purpose == _DETECTS else DRIFTED if purpose == _TURNS else OUTLIER
-        part_keys(width, block, moves, part, seeds, episodes, environment, keys)
+    part = DETECTED if purpose == _DETECTS else DRIFTED if purpose == _TURNS else OUTLIER
+    part_keys(width, block, moves, part, seeds, episodes, environment, keys)
     parities(width, moves, environment, words[2])
 
 
 @inner_kernel
-def _draw(width, axes, purpose, effects, couple, keys, words):
+def _draw(width, purpose, effects, couple, keys, words):
     """Random words of a couple in a step: words[purpose, …]."""
     if purpose == _DETECTS and effects.detects and not effects.remembers:
         halve(width, keys[1], couple, words[0, 0], words[0, 1])
-    elif purpose == _TURNS and not effects.drifts:
-        draw_turns(width, axes, keys[1], couple * DRAWS, words[1])
     elif purpose == _REPLACES:
         halve(width, keys[1], couple, words[2, 1], words[2, 2])
 
@@ -164,16 +154,15 @@ def _find_chances(width, axes, effects, i, pair, buffer):
 def _detect(width, axes, entries, effects, pair, i, side, kept, buffer, words, row):
     """Drop a row of the lanes in which robot i does not detect the neighbour."""
     lanes, (robot, other), (latent, number) = lane_count(width), pair, kept
-    nearest, share_kept, chance = effects.nearest[i], effects.kept[i], 2 * lanes
+    nearest, falloff, chance = effects.nearest[i], effects.falloffs[i], 2 * lanes
     for lane in range(lanes):
-        seen = buffer[lane] * share_kept
-        buffer[chance + lane] = 0.0 if buffer[lanes + lane] < nearest else seen
-    if effects.falloff > 0.0:
+        buffer[chance + lane] = 0.0 if buffer[lanes + lane] < nearest else buffer[lane]
+    if falloff > 0.0:
         for lane in range(lanes):
             here = load_fields(robot, 0, lane, lanes, axes)
             offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
             frame = load_fields(robot, len(axes), lane, lanes, entries)
-            share = share_in_view(offset, frame, effects.half_fields[i], effects.falloff)
+            share = share_in_view(offset, frame, effects.half_fields[i], falloff)
             buffer[chance + lane] *= share
     if effects.remembers:
         for lane in range(lanes):
@@ -189,16 +178,12 @@ def _detect(width, axes, entries, effects, pair, i, side, kept, buffer, words, r
 
 
 @inner_kernel
-def _turn(width, axes, effects, i, side, kept, keys, words, row):
-    """Rotate a row by the noise of robot i: white as in ``apply_noise``, or from the memory."""
-    level = effects.levels[i]
-    if level > 0.0 and effects.drifts:
-        if is_small(level):
-            _turn_by(width, axes, level, True, kept, keys, words[2, 0], row)
-        else:
-            _turn_by(width, axes, level, False, kept, keys, words[2, 0], row)
-    else:
-        turn_side(width, axes, side, level, words[1], row)
+def _turn(width, axes, level, kept, keys, odd, row):
+    """Rotate a row by its error in a memory, times a level, rad."""
+    if level > 0.0 and is_small(level):
+        _turn_by(width, axes, level, True, kept, keys, odd, row)
+    elif level > 0.0:
+        _turn_by(width, axes, level, False, kept, keys, odd, row)
 
 
 @inner_kernel(inline="code")
@@ -228,7 +213,7 @@ def _replace(width, axes, entries, effects, pair, team, keys, words, row):
             n = robots.shape[1]  # couples have lower numbers in the stream
             seen, word = read_row(row, lane, axes), word_of(keys[1, lane], n * n + number)
             length = np.float32(norm(seen))
-            if length > 0.0 and effects.uniform:
+            if length > 0.0 and effects.uniform[i]:
                 write_row(_anywhere(seen, length, word), row, lane)
             elif length > 0.0:
                 into = merged_into[block * lanes + lane]
@@ -283,7 +268,7 @@ def turn_silhouettes(
     first,
     last,
     moves,
-    samples_per_step,
+    samples,
     effects,
     own,
     points,
@@ -296,27 +281,22 @@ def turn_silhouettes(
     words,
     rows,
 ):
-    """Apply noise to the angular extents of obstacles, with ``points`` rows each from ``own`` on.
+    """Apply noise with a memory to the angular extents of obstacles.
 
-    The level is that of each robot; with a memory, errors begin at the index ``start``.
+    They have ``points`` rows each from the row ``own`` on. The level is that of each robot; errors
+    begin at the index ``start``.
     """
-    n = rows.shape[1]
-    slots = (rows.shape[2] - own) // points  # the remaining row, if any, is proprioception
+    count = (rows.shape[2] - own) // points * points  # a remaining row is proprioception
     for block in range(first, last):
-        if not is_due(width, moves, samples_per_step, environments[block]):
+        if not is_due(width, moves, samples, environments[block]):
             continue
         streams = seeds, episodes, environments[block]
-        _begin(width, block, moves, _TURNS, effects, streams, keys, words)
-        for i in range(n):
-            for number in range(slots * points):
-                # as ``apply_noise_to_silhouettes``, in couples
-                m, side = number // points, number % points
-                if side % 2 == 0:
-                    couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
-                    _draw(width, axes, _TURNS, effects, couple, keys, words)
+        _begin(width, block, moves, _TURNS, streams, keys, words)
+        for i in range(rows.shape[1]):
+            for number in range(count):
                 row = rows[block - first, i, own + number]
-                kept = errors[block], start + i * slots * points + number
-                _turn(width, axes, effects, i, side % 2, kept, keys, words, row)
+                kept = errors[block], start + i * count + number
+                _turn(width, axes, effects.levels[i], kept, keys, words[2, 0], row)
 
 
 @kernel
@@ -326,7 +306,7 @@ def turn_observers(
     first,
     last,
     moves,
-    samples_per_step,
+    samples,
     deviations,
     begin,
     end,
@@ -343,7 +323,7 @@ def turn_observers(
     5·L,).
     """
     for block in range(first, last):
-        if not is_due(width, moves, samples_per_step, environments[block]):
+        if not is_due(width, moves, samples, environments[block]):
             continue
         part_keys(width, block, moves, OBSERVER, seeds, episodes, environments[block], keys)
         for i in range(rows.shape[1]):

@@ -14,7 +14,7 @@ from ...graphs.edges import edge_weight, list_pairs, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
 from ...physics.vectors import dot, exactly, norm, subtract, to_local
 from ...sensors.chance import is_small, step_key, turned_by_chance
-from ...sensors.imperfections import in_sectors, is_in_view, is_seen
+from ...sensors.imperfections import errors_of, in_sectors, is_in_view, is_seen
 from ..memory import lane_count, load_fields, read_row, sensed_step, write_row
 
 EPISODE_KEYS, STEP_KEYS = range(2)
@@ -51,7 +51,7 @@ def apply_noise(
     words,
     rows,
 ):
-    """Drop and rotate rows of neighbours.
+    """Drop and rotate rows of neighbours by a table of ``Imperfections``.
 
     It may be repeated for the same step: the random numbers are a function of the step number.
 
@@ -64,19 +64,32 @@ def apply_noise(
         found = list_pairs(links, block, n, listed[0], listed[1], weights)
         counts[:] = 0
         for e in range(found):
-            first_robot, second_robot = listed[0, e], listed[1, e]
-            _draw(width, axes, pair_index(first_robot, second_robot, n), errors, keys, words)
+            ends = listed[0, e], listed[1, e]
+            one, other = errors_of(errors, ends[0]), errors_of(errors, ends[1])
+            _draw(width, axes, pair_index(ends[0], ends[1], n), one, other, keys, words)
             for side in range(2):
-                i, j = (second_robot, first_robot) if side else (first_robot, second_robot)
-                if edge_weight(links, block, n, i, j, 1.0) > 0.0:
-                    slot = counts[i] if in_order else j - (j > i)
-                    counts[i] += 1
-                    if slot < slots or not in_order:
-                        row = rows[block - first, i, slot]
-                        _hide(width, axes, entries, errors, robots[block, i], robots[block, j], row)
-                        if errors.dropout > 0.0:
-                            _miss(width, axes, errors.dropout, words[_MISSED, side], row)
-                        _turn_by_errors(width, axes, side, errors, words, row)
+                i, j, slot = end_of(links, block, n, ends, side, slots, in_order, counts)
+                if slot >= 0:
+                    own, row = errors_of(errors, i), rows[block - first, i, slot]
+                    _hide(width, axes, entries, own, robots[block, i], robots[block, j], row)
+                    if own.dropout > 0.0:
+                        _miss(width, axes, own.dropout, words[_MISSED, side], row)
+                    _turn_by_errors(width, axes, side, own, words, row)
+
+
+@inner_kernel(inline="code")
+def end_of(links, block, n, ends, side, slots, in_order, counts):
+    """Robot i at one side of a pair, the other robot j, and the slot of j among the rows of i.
+
+    The slot is −1 if robot i has no row for j. Robots are visited in the order of ``list_pairs``;
+    ``counts``, (n,), are their links so far.
+    """
+    i, j = (ends[1], ends[0]) if side else ends
+    if not edge_weight(links, block, n, i, j, 1.0) > 0.0:
+        return i, j, -1
+    slot = counts[i] if in_order else j - (j > i)
+    counts[i] += 1
+    return i, j, (slot if slot < slots or not in_order else -1)
 
 
 @inner_kernel
@@ -90,22 +103,23 @@ def sensing_keys(width, block, moves, seeds, episodes, environment, keys):
 
 
 @inner_kernel(inline="code")
-def _draw(width, axes, couple, errors, keys, words):
+def _draw(width, axes, couple, one, other, keys, words):
     """Random words of a couple, for alternating sides: words[purpose, side].
 
-    In 3-D, words[purpose, 2 + side] is the other half of the same words.
+    Given are the errors of both sides. In 3-D, words[purpose, 2 + side] is the other half of the
+    same words.
     """
     first = couple * DRAWS
-    if errors.bias > 0.0:
-        draw_turns(width, axes, keys[EPISODE_KEYS], first, words[_BIAS])
-    if errors.noise > 0.0:
-        draw_turns(width, axes, keys[STEP_KEYS], first, words[_NOISE])
-    if errors.dropout > 0.0:
+    if max(one.bias, other.bias) > 0.0:
+        _draw_turns(width, axes, keys[EPISODE_KEYS], first, words[_BIAS])
+    if max(one.noise, other.noise) > 0.0:
+        _draw_turns(width, axes, keys[STEP_KEYS], first, words[_NOISE])
+    if max(one.dropout, other.dropout) > 0.0:
         halve(width, keys[STEP_KEYS], first + 2, words[_MISSED, 0], words[_MISSED, 1])
 
 
 @inner_kernel(inline="code")
-def draw_turns(width, axes, keys, first, words):
+def _draw_turns(width, axes, keys, first, words):
     """Random words for the rotation of a couple's two rows: one in 2-D, two in 3-D."""
     if len(axes) == 2:
         halve(width, keys, first, words[0], words[1])
@@ -143,12 +157,12 @@ def _turn_by(width, axes, deviation, small, words, others, row):
 @inner_kernel(inline="code")
 def _turn_by_errors(width, axes, side, errors, words, row):
     """Rotate a row of one side of a couple by its episode bias and its step noise."""
-    turn_side(width, axes, side, errors.bias, words[_BIAS], row)
-    turn_side(width, axes, side, errors.noise, words[_NOISE], row)
+    _turn_side(width, axes, side, errors.bias, words[_BIAS], row)
+    _turn_side(width, axes, side, errors.noise, words[_NOISE], row)
 
 
 @inner_kernel(inline="code")
-def turn_side(width, axes, side, deviation, words, row):
+def _turn_side(width, axes, side, deviation, words, row):
     """Rotate a row of one side of a couple, whose words are (4, L), by a deviation, rad."""
     if deviation > 0.0:
         _turn_row(width, axes, deviation, words[side], words[2 + side], row)
@@ -158,18 +172,21 @@ def turn_side(width, axes, side, deviation, words, row):
 def _hide(width, axes, entries, errors, robot, other, row):
     """Drop the row of a robot out of range or outside the field of view of another one."""
     if errors.half_field < math.pi:
-        see_within(width, axes, entries, errors.reach, errors.half_field, robot, other, row)
+        view = errors.half_field, errors.view_cosine
+        _see_within(width, axes, entries, errors.reach, view, robot, other, row)
     elif errors.reach < np.inf:
         # without an angle it becomes SIMD
-        see_within(width, axes, entries, errors.reach, math.pi, robot, other, row)
+        _see_within(width, axes, entries, errors.reach, (math.pi, -1.0), robot, other, row)
 
 
 @inner_kernel(inline="code")
-def see_within(width, axes, entries, reach, half_field, robot, other, row):
-    """``is_seen`` in every lane; angles only if one of them may be at the edge of the view."""
-    lanes = lane_count(width)
-    if half_field < math.pi and _none_at_edge(width, axes, entries, half_field, robot, other):
-        cosine = math.cos(half_field)
+def _see_within(width, axes, entries, reach, view, robot, other, row):
+    """``is_seen`` in every lane; angles only if one of them may be at the edge of the view.
+
+    The view is half its angle, rad, and the cosine.
+    """
+    lanes, (half_field, cosine) = lane_count(width), view
+    if half_field < math.pi and _none_at_edge(width, axes, entries, cosine, robot, other):
         for lane in range(lanes):
             here = load_fields(robot, 0, lane, lanes, axes)
             offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
@@ -185,13 +202,13 @@ def see_within(width, axes, entries, reach, half_field, robot, other, row):
 
 
 @inner_kernel(inline="code")
-def _none_at_edge(width, axes, entries, half_field, robot, other):
+def _none_at_edge(width, axes, entries, cosine, robot, other):
     """True if the other robot is clear of the edge of the view in all lanes.
 
     Rounding then cannot change whether it is inside: angles differ at least as much as their
     cosines.
     """
-    lanes, cosine, close = lane_count(width), math.cos(half_field), 0.0
+    lanes, close = lane_count(width), 0.0
     for lane in range(lanes):
         here = load_fields(robot, 0, lane, lanes, axes)
         offset = subtract(load_fields(other, 0, lane, lanes, axes), here)
@@ -242,34 +259,48 @@ def apply_noise_to_silhouettes(
     words,
     rows,
 ):
-    """Apply field of view, rotation and rounding to angular extents of obstacles.
+    """Apply field of view and rotation to angular extents of obstacles.
 
     They have ``points`` rows each from the row ``own`` on. Working memory as ``apply_noise``.
     """
     lanes, n = lane_count(width), rows.shape[1]
     slots = (rows.shape[2] - own) // points  # a remaining row is proprioception
-    turns = errors.bias > 0.0 or errors.noise > 0.0
     for block in range(first, last):
         count = min(lanes, len(seeds) - block * lanes)
         sensing_keys(width, block, moves, seeds, episodes, environments[block], keys)
         for i in range(n):
+            sensor = errors_of(errors, i)
+            turns = sensor.bias > 0.0 or sensor.noise > 0.0
             for m in range(slots):
                 seen = rows[block - first, i, own + m * points : own + (m + 1) * points]
-                if errors.half_field < math.pi:
-                    see_in_view(axes, count, errors.half_field, seen)
+                if sensor.half_field < math.pi:
+                    _see_in_view(axes, count, sensor.half_field, seen)
                 for side in range(points if turns else 0):
                     if side % 2 == 0:
                         couple = n * (n - 1) // 2 + ((i * slots + m) * points + side) // 2
-                        _draw(width, axes, couple, errors, keys, words)
-                    _turn_by_errors(width, axes, side % 2, errors, words, seen[side])
-                for s in range(points if errors.sectors > 0 else 0):
-                    for lane in range(count):
-                        point = exactly(read_row(seen[s], lane, axes))
-                        write_row(in_sectors(point, errors.sectors), seen[s], lane)
+                        _draw(width, axes, couple, sensor, sensor, keys, words)
+                    _turn_by_errors(width, axes, side % 2, sensor, words, seen[side])
+
+
+@kernel
+def round_silhouettes(width, axes, first, last, errors, own, points, batch, rows):
+    """Round angular extents of obstacles to the sectors of their observer.
+
+    They have ``points`` rows each from the row ``own`` on, in ``batch`` environments.
+    """
+    lanes = lane_count(width)
+    end = own + (rows.shape[2] - own) // points * points
+    for block in range(first, last):
+        for i in range(rows.shape[1]):
+            sectors = errors_of(errors, i).sectors
+            for number in range(own, end if sectors > 0.0 else own):
+                row = rows[block - first, i, number]
+                for lane in range(min(lanes, batch - block * lanes)):
+                    write_row(in_sectors(exactly(read_row(row, lane, axes)), sectors), row, lane)
 
 
 @inner_kernel
-def see_in_view(axes, count, half_field, rows):
+def _see_in_view(axes, count, half_field, rows):
     """Keep all points of an obstacle if one of them is in the field of view."""
     for lane in range(count):
         seen = False

@@ -4,10 +4,10 @@ Occlusion, adversarial errors, sectors, compact rows, and delay.
 """
 
 from ...compilation import kernel
-from ...graphs.edges import edge_weight, load_links
+from ...graphs.edges import load_links
 from ...physics.vectors import exactly
 from ...physics.worst_bias import outward_directions
-from ...sensors.imperfections import neighbour_seen
+from ...sensors.imperfections import errors_of, neighbour_seen
 from ..memory import (
     load_fields,
     load_positions,
@@ -16,6 +16,7 @@ from ..memory import (
     sensed_step,
     write_row,
 )
+from .apply_noise import end_of
 
 
 @kernel
@@ -41,32 +42,31 @@ def apply_occlusion(
 ):
     """Apply occlusion to both ends of every link, in row order; of an arc to one end.
 
-    ``radii``, (n,), are those of occluding robots, m. Working memory: vectors (3, n, d), listed
-    (2, E), weights (E,), counts (n,).
+    ``errors`` is a table of ``Imperfections``. ``radii``, (n,), are those of occluding robots, m.
+    Working memory: vectors (3, n, d), listed (2, E), weights (E,), counts (n,).
     """
-    n, positions, outward = robots.shape[1], vectors[0], vectors[1]
+    n, positions, outward, misled = robots.shape[1], vectors[0], vectors[1], False
+    for i in range(n):
+        misled = misled or errors_of(errors, i).error > 0.0
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):
             b = block * lanes + lane
             load_positions(robots[block], lane, lanes, positions)
-            if errors.error > 0.0:
+            if misled:
                 outward_directions(positions, merged_into[b], outward)
             world = obstacles_of(obstacles, b)
             scene, places = (world, merged_into[b], radii), (positions, outward)
             found = load_links(links, block, lane, n, listed[0], listed[1], weights)
             counts[:] = 0
             for end in range(2 * found):
-                one, other = listed[0, end // 2], listed[1, end // 2]
-                i, j = (other, one) if end % 2 else (one, other)
-                if edge_weight(links, block, n, i, j, 1.0) > 0.0:
-                    slot = counts[i] if packed else j - (j > i)
-                    counts[i] += 1
-                    if slot < slots:
-                        frame = load_fields(robots[block, i], len(axes), lane, lanes, entries)
-                        row = observations[b, i, slot]
-                        seen = exactly(read_row(row, 0, axes))
-                        seen = neighbour_seen((i, j), seen, frame, errors, places, scene)
-                        write_row(seen, row, 0)
+                ends = listed[0, end // 2], listed[1, end // 2]
+                i, j, slot = end_of(links, block, n, ends, end % 2, slots, packed, counts)
+                if slot >= 0:
+                    own, row = errors_of(errors, i), observations[b, i, slot]
+                    frame = load_fields(robots[block, i], len(axes), lane, lanes, entries)
+                    seen = exactly(read_row(row, 0, axes))
+                    seen = neighbour_seen((i, j), seen, frame, own, places, scene)
+                    write_row(seen, row, 0)
 
 
 @kernel

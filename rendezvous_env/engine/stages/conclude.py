@@ -63,15 +63,16 @@ def conclude_step(
     lanes, n, near = lane_count(width), merged_into.shape[1], 0
     for block in range(first, last):
         environment, start = environments[block], block * lanes
-        end = min(start + lanes, len(merged_into))
+        count = min(lanes, len(merged_into) - start)  # at most a constant
+        end = start + count
         _conclude(width, duration, max_steps, reward_weights, environment)
-        _write_scores(width, start, end, environment, scores)
+        _write_scores(width, start, count, environment, scores)
         codes, touched, earned = status[start:end], contacts[start:end], robot_rewards[start:end]
-        for lane in range(len(codes)):
+        for lane in range(count):
             codes[lane] = int(environment[STATUS * lanes + lane])
             touched[lane] = int(environment[CONTACTS * lanes + lane])
         for i in range(n):
-            for lane in range(len(earned)):
+            for lane in range(count):
                 earned[lane, i] = environment[REWARD * lanes + lane]
         merged = 0
         for lane in range(lanes):
@@ -79,32 +80,32 @@ def conclude_step(
             near += is_near(environment, lane, lanes, reach)
         if merged > 0:
             given = merged_into, took_part, active, robot_rewards
-            _leave_out_merged(width, start, end, all_earn, environment, *given)
+            _leave_out_merged(width, start, count, all_earn, environment, *given)
     return near
 
 
 @inner_kernel(inline="code")
-def _write_scores(width, start, end, environment, scores):
+def _write_scores(width, start, count, environment, scores):
     """Copy the fields of ``scores``, (SCORES, B); faster for all lanes, a constant number."""
     lanes = lane_count(width)
     for row in range(SCORES):
         # slices, since ``start + lane`` might be negative for the compiler: no SIMD
-        score, field = scores[row, start:end], (REWARD + row) * lanes
-        if len(score) == lanes:
+        score, field = scores[row, start : start + count], (REWARD + row) * lanes
+        if count == lanes:
             for lane in range(lanes):
                 score[lane] = environment[field + lane]
         else:
-            for lane in range(len(score)):
+            for lane in range(count):
                 score[lane] = environment[field + lane]
 
 
 @inner_kernel
 def _leave_out_merged(
-    width, start, end, all_earn, environment, merged_into, took_part, active, robot_rewards
+    width, start, count, all_earn, environment, merged_into, took_part, active, robot_rewards
 ):
     """Mark merged robots as inactive; they are rewarded in the step of their merge, or always."""
     lanes, n = lane_count(width), merged_into.shape[1]
-    for lane in range(end - start):
+    for lane in range(count):
         b = start + lane
         if environment[ACTIVE * lanes + lane] < n:
             merges = environment[PROXIMITY * lanes + lane] == MERGED

@@ -69,7 +69,7 @@ def load_actions(width, robot, i, start, actions, move):
     given = actions[start : min(start + lanes, len(actions))]
     for k in range(len(robot.inputs)):
         values = given[:, i, k]
-        for lane in range(len(values)):
+        for lane in range(min(lanes, len(values))):  # at most a constant
             move[(d + 1 + k) * lanes + lane] = values[lane]
 
 

@@ -58,14 +58,16 @@ def is_sampled(step, samples_per_step):
 
 
 @inner_kernel
-def is_due(width, moves, samples_per_step, environment):
-    """True if a sample is due in any lane.
+def is_due(width, moves, samples, environment):
+    """True if a sample of ``samples_of`` is due in any lane.
 
     Rows of the other lanes are replaced by their held rows.
     """
-    lanes, due = lane_count(width), samples_per_step == 0.0
-    for lane in range(0 if due else lanes):
-        due = due or is_sampled(sensed_step(environment, lane, lanes, moves), samples_per_step)
+    lanes, due = lane_count(width), False
+    for number in range(len(samples)):
+        due = due or samples[number] == 0.0
+        for lane in range(0 if due else lanes):
+            due = due or is_sampled(sensed_step(environment, lane, lanes, moves), samples[number])
     return due
 
 
@@ -112,33 +114,52 @@ def _redraw(width, low, scale, words, odd, begins, even_step, odd_step):
 def remember_errors(
     width, first, last, moves, kept, seeds, episodes, environments, keys, words, memory
 ):
-    """Update the error e of every row, see ``sensors.effects``; as ``remember_detection``."""
-    share, rest = np.float32(kept), np.float32(math.sqrt(1.0 - kept * kept))
+    """Update the error e of every row, see ``sensors.effects``; as ``remember_detection``.
+
+    ``kept`` is that of ``memory_of_errors``. Rows of obstacles follow those of pairs.
+    """
+    n, count = len(kept), memory.shape[2]
+    pairs = n * (n - 1)
     for block in range(first, last):
         part_keys(width, block, moves, DRIFTED, seeds, episodes, environments[block], keys)
         parities(width, moves, environments[block], words[0])
-        odd, begins = words[0, 0], words[0, 1]
-        even_step, odd_step = memory[block, 0], memory[block, 1]
-        for couple in range((memory.shape[2] + 1) // 2):
+        one, other = 0, 1
+        for couple in range((count + 1) // 2):
             halve(width, keys[1], couple, words[1, 0], words[1, 1])
-            for side in range(min(2, memory.shape[2] - 2 * couple)):
-                even, odd_one = even_step[2 * couple + side], odd_step[2 * couple + side]
-                for lane in range(lane_count(width)):
-                    z = gaussian(words[1, side, lane])
-                    a, b, is_odd = even[lane], odd_one[lane], odd[lane] != 0
-                    now = share * (a if is_odd else b) + rest * z
-                    now = min(max(now, -_FARTHEST), _FARTHEST)
-                    now = z if begins[lane] != 0 else now
-                    even[lane], odd_one[lane] = (a if is_odd else now), (now if is_odd else b)
+            for side in range(min(2, count - 2 * couple)):
+                number = 2 * couple + side
+                observer = (number - pairs) * n // max(count - pairs, 1)
+                if number < pairs:
+                    observer = other if side else one
+                now = kept[observer, 0], kept[observer, 1]
+                memories = memory[block, 0, number], memory[block, 1, number]
+                _drift(width, now, words[1, side], words[0], memories)
+            other += 1
+            if other == n:
+                one, other = one + 1, one + 2
+
+
+@inner_kernel(inline="code")
+def _drift(width, kept, words, parity, memories):
+    """Update the error e of a row in every lane, by k and √(1 − k²)."""
+    (share, rest), (even, odd_one) = kept, memories
+    odd, begins = parity[0], parity[1]
+    for lane in range(lane_count(width)):
+        z = gaussian(words[lane])
+        a, b, is_odd = even[lane], odd_one[lane], odd[lane] != 0
+        now = share * (a if is_odd else b) + rest * z
+        now = min(max(now, -_FARTHEST), _FARTHEST)
+        now = z if begins[lane] != 0 else now
+        even[lane], odd_one[lane] = (a if is_odd else now), (now if is_odd else b)
 
 
 @kernel
 def hold_observations(
-    lanes, first, last, moves, samples_per_step, merged_into, environments, held, observations
+    lanes, first, last, moves, samples, merged_into, environments, held, observations
 ):
     """Write the rows of the last sample, (B, n, K + M·S, d); zeros for inactive robots.
 
-    A step without a new sample repeats the held rows.
+    A step without a new sample of a robot repeats its held rows, see ``samples_of``.
     """
     n = held.shape[1]
     kept = held.reshape(held.shape[0], n, held.shape[2] * held.shape[3])
@@ -147,9 +168,11 @@ def hold_observations(
     for block in range(first, last):
         for lane in range(min(lanes, len(merged_into) - block * lanes)):
             b, step = block * lanes + lane, sensed_step(environments[block], lane, lanes, moves)
-            fresh = is_sampled(step, samples_per_step)
+            fresh = is_sampled(step, samples[0])
             for i in range(n):
                 own, rows = kept[b, i], shown[b, i]
+                if len(samples) > 1:
+                    fresh = is_sampled(step, samples[i])
                 if fresh:
                     for k in range(len(own)):
                         own[k] = rows[k]

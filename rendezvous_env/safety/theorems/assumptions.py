@@ -1,6 +1,7 @@
 """Assumptions of theorems: one predicate each, with a message if it is not met."""
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -191,14 +192,16 @@ _CHANCE = "dropout", "detection", "persistence", "sample_period"
 def departs_by_chance(*more: str) -> Assumption:
     """Neighbours are missed only at random, and rows may be held; the fields ``more`` may be set.
 
-    With "noise" among them, it is white and of one level.
+    All rows are refreshed together. With "noise" among the fields, it is white and of one level.
     """
 
     def holds(scenario: Scenario, asked: Asked) -> str:
         sensing = scenario.sensing
-        by_chance = departs_in(scenario, *_CHANCE, *more) and not sensing.exact
-        if by_chance and isinstance(sensing.noise, float) and asked.error == 0.0:
-            return ""
+        if departs_in(scenario, *_CHANCE, *more) and not sensing.exact and asked.error == 0.0:
+            own = [name for name in ("noise", "sample_period") if sensing.list_given(name)]
+            values = [f"sensing.{name} is {sensing.list_given(name)}" for name in own]
+            needs = "; the theorems on the mean time need one for all robots"
+            return f"none: {values[0]}{needs}" if values else ""
         return f"none: the mean time is known for random detection only ({sensing.departures()})"
 
     return holds
@@ -256,8 +259,9 @@ def all_neighbours_visible(scenario: Scenario, asked: Asked) -> str:
 
 def nearest_always_visible(scenario: Scenario) -> bool:
     """True if only occlusion hides robots, so the nearest is always visible (guarantees 13)."""
-    hidden = scenario.sensing.occlusion == "robots" and scenario.model.bounded
-    alone = hidden and departs_in(scenario, "occlusion", "error")
+    among = partial(scenario.sensing.among, "occlusion", scenario.n_robots)
+    hidden = bool(among("none", "robots").all() and among("robots").any())
+    alone = hidden and scenario.model.bounded and departs_in(scenario, "occlusion", "error")
     return alone and is_complete(scenario)
 
 

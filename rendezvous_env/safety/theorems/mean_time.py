@@ -82,7 +82,7 @@ def _detection_by(
     first = nearest, float(np.interp(nearest, table[:, 0], table[:, 1]))
     d, p = np.vstack([first, table[table[:, 0] > nearest]]).T
     slope = np.max(np.diff(p) / np.diff(d), initial=0.0)
-    per_sample = scenario.sensing.sample_period / scenario.tau
+    per_sample = scenario.sensing.largest("sample_period") / scenario.tau
     # rounding of the ratio, beyond which a sample may come a step early or late
     few = max(1, math.floor(per_sample * (1.0 + 1e-15)))
     many = max(1, math.ceil(per_sample * (1.0 - 1e-15)))
@@ -100,7 +100,7 @@ def _detection_by(
 def mean_cosine(scenario: Scenario) -> tuple[float, float]:
     """Bounds on γ = E cos ξ of the noise, numbers without unit, for angles drawn in float32."""
     noise = scenario.sensing.noise
-    assert isinstance(noise, float)  # of all robots, by the assumption ``_white``
+    assert isinstance(noise, float)  # of all robots, by ``departs_by_chance``
     gamma = math.exp(-0.5 * noise**2)
     return max(gamma - ROUNDED * noise, 0.0), gamma + ROUNDED * noise
 
@@ -143,7 +143,7 @@ def lyapunov_bounds(scenario: Scenario, asked: Asked) -> TheoremBounds:
         return TheoremBounds()
     bent = 2.0 * degree * seen.longest / scenario.merge_radius * seen.curvature
     loss = seen.most + 0.25 * bent * (1.0 - known.lightest_link(scenario) / degree)
-    if scenario.sensing.sample_period > 0.0:
+    if scenario.sensing.largest("sample_period") > 0.0:
         loss = 2.0 * (seen.most + 0.5 * bent)
     most = seen.most * known.lyapunov_bound(scenario, reach=degree * seen.longest)
     most += (scenario.n_robots - 1) * 4.0 * seen.longest * degree**2 * loss
@@ -223,7 +223,8 @@ def _events(
 
 def rows_keep_their_frame(scenario: Scenario, asked: Asked) -> str:
     """Rows that are held between samples refer to the current frame."""
-    return given.frames_stay(scenario, asked) if scenario.sensing.sample_period > 0.0 else ""
+    holds = scenario.sensing.largest("sample_period") > 0.0
+    return given.frames_stay(scenario, asked) if holds else ""
 
 
 def detects_alike(scenario: Scenario, asked: Asked) -> str:

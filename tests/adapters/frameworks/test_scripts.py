@@ -23,6 +23,7 @@ SMALL = {  # by the rarest module that each needs
 INSTALLED = [module for module in SMALL if find_spec(module)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("needed", marked(INSTALLED, slow={*INSTALLED} - {"numpy"}))
 def test_framework_script_runs(needed):
     assert {framework.script for framework in FRAMEWORKS.values()} == {s[0] for s in SMALL.values()}
