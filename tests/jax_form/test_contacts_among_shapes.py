@@ -12,8 +12,6 @@ from rendezvous_env.obstacles import obstacle_set
 from rendezvous_env.obstacles.contact import SLIDE, STOP, move_straight
 from rendezvous_env.obstacles.obstacle_set import SKIN
 
-pytestmark = pytest.mark.usefixtures("less_optimised")
-
 WORLDS = {
     "mixed": [
         rv.Capsule(((-1.0, -1.0), (1.0, 1.5)), 0.4),
