@@ -60,6 +60,7 @@ def test_forms_that_select_equal_kernels_that_branch(kernel, rj):
     assert len(np.unique(expected)) > 50
 
 
+@pytest.mark.slow
 def test_frames_among_many_obstacles_equal_those_of_the_engine(rj):
     heading = importlib.import_module("rendezvous_env.jax.filters.heading")
     engine = rv.make_vec("slab-3d", num_envs=3)

@@ -4,7 +4,6 @@ import importlib
 
 import numpy as np
 import pytest
-from jax_programs import quickly_compiled
 from parameters import marked, slow
 from rendezvous_env.baselines.laws import paper_laws
 from rendezvous_env.baselines.learned import shipped
@@ -53,7 +52,7 @@ def test_policy_equals_its_numpy_form(case, jax_policies):
     env = rv.make_vec(scenario, num_envs=TEAMS, **fields)
     policy = baselines.make(name, env.unwrapped.scenario)
     form = jax_policies.make(name, env.unwrapped.scenario)
-    act, memory = quickly_compiled(form.act), form.begin((TEAMS,))
+    act, memory = jax.jit(form.act), form.begin((TEAMS,))
     (seen, _), begun = env.reset(seed=SEED), None
     # in 3-D before merges: rounding decides on the first plane of a robot with one neighbour
     anew = 30 if env.unwrapped.scenario.dim == 3 else 100
