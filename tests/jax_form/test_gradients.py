@@ -6,8 +6,6 @@ from parameters import marked
 
 import rendezvous_env as rv
 
-pytestmark = pytest.mark.usefixtures("less_optimised")
-
 MODELS = {
     "single integrators": ("cloud-8", {"dim": 2}),
     "single integrators in 3-D": ("cloud-8", {}),
