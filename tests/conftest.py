@@ -348,15 +348,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rj():
     """``rendezvous_env.jax`` with numbers in float64, as the engine's are."""
     jax = pytest.importorskip("jax")
+    # jax_disable_most_optimizations would compile faster, but computes other numbers
     with jax.enable_x64(True):
         yield import_module("rendezvous_env.jax")
-
-
-@pytest.fixture
-def less_optimised(request):
-    """Slow tests compile JAX programs in two thirds of the time; numbers differ by rounding."""
-    jax = pytest.importorskip("jax")
-    name, slow = "jax_disable_most_optimizations", bool(request.node.get_closest_marker("slow"))
-    jax.config.update(name, slow)
-    yield
-    jax.config.update(name, False)

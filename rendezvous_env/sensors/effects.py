@@ -50,9 +50,8 @@ class Effects(NamedTuple):
 def draws_detection(sensing: Sensing, n_robots: int) -> NDArray[np.bool_]:
     """Mask of the robots whose detection differs from independent dropout, (n,)."""
     measured = np.array([bool(table) for table in sensing.tables(n_robots)])
-    return measured | (falloffs_of(sensing, n_robots) > 0.0) | (
-        sensing.each("persistence", n_robots) > 0.0
-    )  # fmt: skip
+    lasting = sensing.each("persistence", n_robots) > 0.0
+    return measured | lasting | (falloffs_of(sensing, n_robots) > 0.0)
 
 
 def falloffs_of(sensing: Sensing, n_robots: int) -> NDArray[np.float64]:

@@ -15,8 +15,6 @@ from rendezvous_env.baselines.obstacle_rules import planes_in_space
 import rendezvous_env as rv
 from rendezvous_env import baselines
 
-pytestmark = pytest.mark.usefixtures("less_optimised")
-
 TEAMS, SEED = 4, 3
 CASES = {
     "law (1)": ("bearing-only", "duo", {"n_robots": 5}),

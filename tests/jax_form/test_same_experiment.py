@@ -7,8 +7,6 @@ from parameters import marked
 import rendezvous_env as rv
 from rendezvous_env import graphs
 
-pytestmark = pytest.mark.usefixtures("less_optimised")
-
 STEPS, TEAMS, SEED = 200, 3, 5
 UNEVEN = graphs.directed([[0, 1, 0, 2.0], [0, 0, 1, 0], [1, 0, 0, 0.5], [0, 1, 0, 0]])
 LONG = {"time_limit": 8.0}

@@ -198,10 +198,11 @@ def departs_by_chance(*more: str) -> Assumption:
     def holds(scenario: Scenario, asked: Asked) -> str:
         sensing = scenario.sensing
         if departs_in(scenario, *_CHANCE, *more) and not sensing.exact and asked.error == 0.0:
-            own = [name for name in ("noise", "sample_period") if sensing.list_given(name)]
-            values = [f"sensing.{name} is {sensing.list_given(name)}" for name in own]
-            needs = "; the theorems on the mean time need one for all robots"
-            return f"none: {values[0]}{needs}" if values else ""
+            for name in ("noise", "sample_period"):
+                if own := sensing.list_given(name):
+                    needs = "the theorems on the mean time need one for all robots"
+                    return f"none: sensing.{name} is {own}; {needs}"
+            return ""
         return f"none: the mean time is known for random detection only ({sensing.departures()})"
 
     return holds
