@@ -173,7 +173,7 @@ class _KernelCompiler(_COMPILER):
         identity.unique_id = digest_of(identity.func, self.state.args)[:16]
         identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
         self.state.flags.no_cpython_wrapper |= not _KernelCompiler.with_entry
-        return [passes_of_kernels()]
+        return [passes_of_kernels(self.state.flags.nrt)]
 
 
 OVERLOADED: Any = _options("code", inner=True) | {"pipeline_class": _KernelCompiler}

@@ -15,7 +15,7 @@ from test_kernel_cache import python
 import baselines
 import rendezvous_env
 import train
-from rendezvous_env import compilation, kernel_cache
+from rendezvous_env import compilation, inner_code, kernel_cache
 
 
 @pytest.mark.slow
@@ -62,6 +62,37 @@ def test_compilation_leaves_the_typing_of_numba_alone():
     assert type(context) is numba.core.typing.Context and {*vars(context)} == before
     for function in (operator.add, operator.mul, operator.getitem):
         assert type(context.resolve_value_type(function)) is numba.types.Function
+
+
+def branching(values, limit):
+    """Variables of all lifetimes: across branches, around loops, and after them."""
+    pair = values, values[1:]
+    total, last, found = 0.0, -1.0, False
+    for k in range(len(pair[1])):
+        step = pair[1][k] - pair[0][k]
+        if step > limit:
+            last = step
+            continue
+        if found:
+            total += last
+        found = step < 0.0
+        total += step
+    after = total + last
+    return after if found else -after
+
+
+@pytest.mark.kernels
+def test_kernel_keeps_variables_across_branches_and_loops():
+    compiled = compilation.kernel(branching)
+    for values in ([1.0, 4.0, 2.0, 2.5, 9.0], [3.0, 2.0, 1.0], [0.0, 5.0], [7.0]):
+        assert compiled(np.array(values), 1.0) == branching(np.array(values), 1.0)
+
+
+def test_assigned_once_leaves_out_variables_with_several_assignments_or_earlier_uses():
+    blocks = numba.core.compiler.run_frontend(branching).blocks
+    found = inner_code.assigned_once(blocks)
+    assert {"values", "limit", "pair", "after"} <= found
+    assert not {"total", "last", "found"} & found
 
 
 def test_kernel_with_allocates_returns_arrays():
