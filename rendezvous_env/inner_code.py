@@ -8,7 +8,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba import _dynfunc  # type: ignore[attr-defined]
-from numba.core import ir, lowering, typed_passes, untyped_passes
+from numba.core import config, ir, lowering, typed_passes, untyped_passes
 from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, _LowerResult, compile_result
@@ -19,8 +19,29 @@ _LOWER: Any = lowering.Lower
 _LIBRARY: Any = JITCodeLibrary
 
 
-class InnerLibrary(_LIBRARY):
+class KernelLibrary(_LIBRARY):
+    """Machine code of a kernel."""
+
+    unrolls = True
+    """False while a kernel without unrolled loops is compiled."""
+
+    def _optimize_final_module(self) -> None:
+        """Optimise, without unrolling of loops if so set; numba always unrolls."""
+        if self.unrolls:
+            super()._optimize_final_module()
+            return
+        options = llvm.create_pipeline_tuning_options(config.OPT)
+        options.loop_vectorization = config.LOOP_VECTORIZE
+        options.slp_vectorization = config.SLP_VECTORIZE
+        options.loop_unrolling = False
+        builder = llvm.create_pass_builder(self._codegen._tm, options)
+        builder.getModulePassManager().run(self._final_module, builder)
+
+
+class InnerLibrary(KernelLibrary):
     """Bitcode to link into other libraries; it never becomes machine code."""
+
+    unrolls = False
 
     is_inlined = False
     """True for code that its callers inline: they optimise it, with their constants in it."""
@@ -87,10 +108,12 @@ class InnerLowering(_LOWERING):
 
     def run_pass(self, state: Any) -> bool:
         """Lower a function; numba's own way if Python may call it."""
-        if not state.flags.no_cpython_wrapper:
-            return bool(super().run_pass(state))
-        state.library = InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        inner = state.flags.no_cpython_wrapper
+        library = InnerLibrary if inner else KernelLibrary
+        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
+        if not inner:
+            return bool(super().run_pass(state))
         state.library.is_inlined = state.flags.forceinline
         state.flags.no_compile = True
         super().run_pass(state)

@@ -40,7 +40,7 @@ def room_for_aim(rows: int, neighbour_slots: int) -> Any:
     return room_for(0, 2)[0], np.empty(obstacles + 1, np.int64), np.empty((obstacles, 2))
 
 
-@kernel
+@kernel(unroll=False)
 def aim(axes, robots, rule, arrays, work):
     """Directions of the rule for f rotated by pairs (N, 2), to raw (N, 2).
 

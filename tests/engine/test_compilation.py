@@ -64,6 +64,26 @@ def test_compilation_leaves_the_typing_of_numba_alone():
         assert type(context.resolve_value_type(function)) is numba.types.Function
 
 
+def test_kernel_keeps_loops_unless_unrolled(monkeypatch):
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else code has no text
+
+    def product(x):
+        found = 1.0
+        for k in range(len(x)):
+            found *= x[k]
+        return found
+
+    def multiplications(unroll):
+        kernel = compilation.kernel(product, unroll=unroll)
+        assert kernel(np.arange(1.0, 7.0)) == 720.0
+        (made,) = kernel.overloads.values()
+        return made.library.get_llvm_str().count("fmul")
+
+    assert multiplications(unroll=False) < multiplications(unroll=True)
+
+
 def branching(values, limit):
     """Variables of all lifetimes: across branches, around loops, and after them."""
     pair = values, values[1:]
@@ -183,7 +203,7 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
     def inner(x):
         return 2.0 * x
 
-    @compilation.kernel
+    @compilation.kernel(unroll=False)
     def outer(x):
         return inner(x) + 1.0
 
@@ -192,7 +212,8 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
 
         def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
             made = real(*a)
-            seen[name] = gc.isenabled(), numba.config.SLP_VECTORIZE
+            unrolls = inner_code.KernelLibrary.unrolls
+            seen[name] = gc.isenabled(), numba.config.SLP_VECTORIZE, unrolls
             return made
 
         monkeypatch.setattr(kernel._compiler, "compile", compiling)
@@ -200,8 +221,9 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
     (gc.enable if enabled else gc.disable)()
     try:
         assert outer(3.0) == 7.0
-        assert seen == {"inner": (False, True), "outer": (False, False)}
+        assert seen == {"inner": (False, True, True), "outer": (False, False, False)}
         assert gc.isenabled() == enabled and numba.config.SLP_VECTORIZE == 0
+        assert inner_code.KernelLibrary.unrolls
         with pytest.raises(numba.core.errors.NumbaError):
             outer("three")
         assert gc.isenabled() == enabled
