@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from rendezvous_env.compilation import inner_kernel, kernel
+from rendezvous_env.physics.trigonometry import arctangent
 from rendezvous_env.physics.vectors import X_AXIS, cross_in_plane, dot, load, rotated, store
 from rendezvous_env.safety.turning import mean_axis
 
@@ -44,21 +45,22 @@ def merged_heading_2d(towards, silhouettes, carried, rule, intervals):
     if is_clear(towards, silhouettes, rule[0]):
         return towards
     count = intervals_around(towards, silhouettes, intervals)
-    return heading_past(towards, intervals[:count], carried, rule)
+    return rotated(towards, turn_past(towards, intervals[:count], carried, rule))
 
 
 @inner_kernel
-def heading_past(towards, intervals, carried, rule):
-    """Heading past merged intervals (count, 2) around a unit triple, see ``merged_headings_2d``."""
+def turn_past(towards, intervals, carried, rule):
+    """Angle past merged intervals (count, 2) around a unit pair or triple, rad.
+
+    See ``merged_headings_2d``; ``rule`` is clearance and persistence.
+    """
     clearance, persistence = rule
     low, high, gap_below, gap_above = merged_interval(intervals)
-    turn = 0.0
-    if not (high - low >= TWO_PI or low >= clearance or high <= -clearance):
-        if _is_upper_nearer(low, high, towards, carried, persistence):
-            turn = high + min(clearance, 0.5 * gap_above)
-        else:
-            turn = low - min(clearance, 0.5 * gap_below)
-    return rotated(towards, turn)
+    if high - low >= TWO_PI or low >= clearance or high <= -clearance:
+        return 0.0
+    if _is_upper_nearer(low, high, towards, carried, persistence):
+        return high + min(clearance, 0.5 * gap_above)
+    return low - min(clearance, 0.5 * gap_below)
 
 
 @inner_kernel
@@ -69,7 +71,7 @@ def _is_upper_nearer(low, high, towards, carried, persistence):
     # the two angles from carried differ by no more than the edges do
     if abs(high + low) > persistence * _between(high, low) + _UNDECIDED:
         return high < -low
-    kept = math.atan2(cross_in_plane(towards, carried), dot(towards, carried))
+    kept = angle_between(towards, carried)
     above = high + persistence * _between(high, kept)
     return above <= -low + persistence * _between(low, kept)
 
@@ -147,10 +149,23 @@ def interval_around(towards, silhouette, interval):
     The edge is counter-clockwise from ``towards``, a unit triple.
     """
     last, first = load(silhouette[0]), load(silhouette[1])
-    interval[0] = math.atan2(cross_in_plane(towards, first), dot(towards, first))
-    width = math.atan2(cross_in_plane(first, last), dot(first, last))
-    # at contact, rounding or sensor errors may swap the edges
-    interval[1] = max(width, 0.0) if width > -0.5 * math.pi else width + TWO_PI
+    interval[0] = angle_between(towards, first)
+    interval[1] = width_of(angle_between(first, last))
+
+
+@inner_kernel(inline="code")
+def angle_between(one, other):
+    """Angle from one pair or triple, z = 0, counter-clockwise to another, rad in [−π, π]."""
+    return arctangent(cross_in_plane(one, other), dot(one, other))
+
+
+@inner_kernel(inline="code")
+def width_of(angle):
+    """Width of a silhouette, rad, from the angle between its edges.
+
+    At contact, rounding or sensor errors may swap the edges.
+    """
+    return max(angle, 0.0) if angle > -0.5 * math.pi else angle + TWO_PI
 
 
 @inner_kernel
