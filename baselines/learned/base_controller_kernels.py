@@ -13,12 +13,23 @@ import numpy as np
 from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.engine.memory import read, write
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
-from rendezvous_env.physics.vectors import load, load_pair, norm, rotated, scaled, split, store
+from rendezvous_env.physics.trigonometry import arctangent, cos_sin
+from rendezvous_env.physics.vectors import (
+    combine,
+    cross_in_plane,
+    dot,
+    load,
+    load_pair,
+    norm,
+    perpendicular,
+    scaled,
+    split,
+    store,
+)
 from rendezvous_env.safety.heading import scale_of_step
 from rendezvous_env.safety.robot_lanes import LANES, give_out, lanes_of, room_for, sum_rows, take_in
 
 from ..obstacle_rules.merged_intervals_2d import (
-    angle_between,
     comes_near,
     least_square_cosine,
     turn_past,
@@ -121,7 +132,7 @@ def _see_obstacles(clearance, rows, directions, count, work):
 
 @inner_kernel(inline="code")
 def _see_lanes(start, least, work):
-    """``_see_obstacles`` of as many listed obstacles, from their views."""
+    """Intervals as of ``interval_around``, and ``comes_near``, of obstacles from one on."""
     views, stop = work.views, start + _BESIDE
     last_x, last_y = views[0, start:stop], views[1, start:stop]
     first_x, first_y = views[2, start:stop], views[3, start:stop]
@@ -132,8 +143,14 @@ def _see_lanes(start, least, work):
         is_near[k] = comes_near((u_x[k], u_y[k]), last, clockwise, least)
     for k in range(_BESIDE):
         last, clockwise = (last_x[k], last_y[k]), (first_x[k], first_y[k])
-        angles[2 * k] = angle_between((u_x[k], u_y[k]), clockwise)
-        angles[2 * k + 1] = width_of(angle_between(clockwise, last))
+        angles[2 * k] = _angle_between((u_x[k], u_y[k]), clockwise)
+        angles[2 * k + 1] = width_of(_angle_between(clockwise, last))
+
+
+@inner_kernel(inline="code")
+def _angle_between(one, other):
+    """Angle from one pair counter-clockwise to another, rad in [−π, π]."""
+    return arctangent(cross_in_plane(one, other), dot(one, other))
 
 
 @inner_kernel
@@ -148,8 +165,8 @@ def _turn_past(axes, rule, carried, directions, work):
             work.turns[lane] = turn_past(towards, intervals[start:stop], kept, how)
         start = stop
     for lane in range(LANES):
-        x, y, _ = rotated(read(directions, lane, axes), work.turns[lane])
-        write((x, y), directions, lane)
+        (c, s), towards = cos_sin(work.turns[lane]), read(directions, lane, axes)
+        write(combine(c, towards, s, perpendicular(towards)), directions, lane)
 
 
 @kernel

@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from rendezvous_env.compilation import inner_kernel, kernel
-from rendezvous_env.physics.trigonometry import arctangent
 from rendezvous_env.physics.vectors import X_AXIS, cross_in_plane, dot, load, rotated, store
 from rendezvous_env.safety.turning import mean_axis
 
@@ -71,7 +70,7 @@ def _is_upper_nearer(low, high, towards, carried, persistence):
     # the two angles from carried differ by no more than the edges do
     if abs(high + low) > persistence * _between(high, low) + _UNDECIDED:
         return high < -low
-    kept = angle_between(towards, carried)
+    kept = math.atan2(cross_in_plane(towards, carried), dot(towards, carried))
     above = high + persistence * _between(high, kept)
     return above <= -low + persistence * _between(low, kept)
 
@@ -149,14 +148,8 @@ def interval_around(towards, silhouette, interval):
     The edge is counter-clockwise from ``towards``, a unit triple.
     """
     last, first = load(silhouette[0]), load(silhouette[1])
-    interval[0] = angle_between(towards, first)
-    interval[1] = width_of(angle_between(first, last))
-
-
-@inner_kernel(inline="code")
-def angle_between(one, other):
-    """Angle from one pair or triple, z = 0, counter-clockwise to another, rad in [−π, π]."""
-    return arctangent(cross_in_plane(one, other), dot(one, other))
+    interval[0] = math.atan2(cross_in_plane(towards, first), dot(towards, first))
+    interval[1] = width_of(math.atan2(cross_in_plane(first, last), dot(first, last)))
 
 
 @inner_kernel(inline="code")

@@ -9,7 +9,6 @@ import math
 import numpy as np
 
 from ..compilation import inner_kernel, kernel
-from .trigonometry import cos_sin
 
 X_AXIS = (1.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -159,10 +158,10 @@ def perpendicular(h):
     return level if dot(level, level) >= _VERTICAL * _VERTICAL else without(X_AXIS, h)
 
 
-@kernel(inline="code")
+@kernel
 def rotated(v, angle):
     """A triple v, z = 0, turned counter-clockwise by α, rad: w = R(α) v, in the unit of v."""
-    c, s = cos_sin(angle)
+    c, s = math.cos(angle), math.sin(angle)
     return c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0
 
 
