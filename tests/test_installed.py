@@ -87,7 +87,7 @@ print(baselines.__name__, rv.__file__)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("hidden", [False, True])
 def test_user_files_do_not_shadow_modules(scripts, hidden, tmp_path):
     python = scripts / "python"

@@ -95,6 +95,12 @@ CASES = {
 }  # fmt: skip
 SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
 FAST = {"plane"}
+OWN_PATH = {
+    "space", "large", "unicycles", "vehicles in space", "inertia", "drawn weights", "uneven arcs",
+    "heading in space", "tank of unicycles", "discs", "vehicles among spheres", "noise",
+    "view",
+}  # fmt: skip
+"""At least one case for each robot model, filter, kind of obstacle, graph and sensor."""
 TOUCHING = {"discs", "figure", "corridor", "all shapes"}
 
 
@@ -112,7 +118,7 @@ def choices(rng, env, observations, guarantee):
     return actions[..., : scenario.action_size]
 
 
-@pytest.mark.parametrize("case", marked(CASES, slow=CASES.keys() - FAST))
+@pytest.mark.parametrize("case", marked(CASES, slow=CASES.keys() - FAST, own_path=OWN_PATH))
 def test_step_agrees_with_the_engine(case, rj):
     name, guarantee, changes = CASES[case]
     shared = {"num_envs": TEAMS, "autoreset_mode": "SAME_STEP", "time_limit": 2.0, **changes}

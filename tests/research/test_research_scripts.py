@@ -182,7 +182,7 @@ def test_interrupted_search_resumes(tmp_path):
     assert not (tmp_path / "runs" / "small-batch-1").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_device_bench_writes_rates(tmp_path):
     pytest.importorskip("jax")
     out = tmp_path / "device.json"
