@@ -18,6 +18,8 @@ TIMELESS := $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 WORKERS ?= 2
 SHARED := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
+CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q
+
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
 .PHONY: compare install learners test test-all test-slow test-long test-kernels test-nightly test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
@@ -51,12 +53,13 @@ test-slow: .venv/installed
 # before a release, and by a scheduled job of the workflow; pytest ends with 5 if it selects nothing
 test-nightly: .venv/installed learners
 	$(BIN)/python -m pytest -q -m nightly $(SHARED)
+	$(CHECKED) -m 'kernels and nightly' $(SHARED)
 	for learner in $(LEARNERS); do .venv-adapters/$$learner/bin/python -m pytest -q -m nightly \
 		tests/adapters/$$learner || test $$? = 5 || exit 1; done
 
 # the tests that run every kernel, with every index checked; kernels that never ran are named and fail
 test-kernels: .venv/installed
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m kernels --every-kernel $(SHARED)
+	$(CHECKED) -m 'kernels and not nightly' --every-kernel $(SHARED)
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed

@@ -96,11 +96,11 @@ CASES = {
 SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
 FAST = {"plane"}
 OWN_PATH = {
-    "space", "large", "unicycles", "vehicles in space", "inertia", "drawn weights", "uneven arcs",
-    "heading in space", "tank of unicycles", "discs", "vehicles among spheres", "noise",
-    "view",
+    "large", "vehicles in space", "inertia", "inertia in space", "drawn weights", "uneven arcs",
+    "heading in space", "heading of unicycles", "tank", "tank of unicycles", "discs", "ignored",
+    "vehicles among spheres", "noise", "view",
 }  # fmt: skip
-"""At least one case for each robot model, filter, kind of obstacle, graph and sensor."""
+"""Slow cases; all others are nightly."""
 TOUCHING = {"discs", "figure", "corridor", "all shapes"}
 
 
@@ -116,6 +116,25 @@ def choices(rng, env, observations, guarantee):
         f, scale = f - observations[:, :, -1], 1.5
     actions = (scale * f + noise).astype(np.float32)
     return actions[..., : scenario.action_size]
+
+
+def features(case):
+    """Robot model, obstacles, filter and sensor of a case."""
+    name, guarantee, changes = CASES[case]
+    fields = {key: value for key, value in changes.items() if key not in SETTINGS}
+    scenario = rv.scenarios.get(name).replace(**fields)
+    sensor, exact = vars(scenario.sensing), vars(rv.Sensing())
+    return {
+        (scenario.robot_model, scenario.dim),
+        (bool(scenario.obstacles), scenario.dim),
+        (guarantee, scenario.model.nonholonomic),
+        *(name for name in exact if sensor[name] != exact[name]),
+    }
+
+
+def test_every_feature_has_a_case_that_is_not_nightly():
+    kept, every = (set().union(*map(features, cases)) for cases in (FAST | OWN_PATH, CASES))
+    assert every - kept == set()
 
 
 @pytest.mark.parametrize("case", marked(CASES, slow=CASES.keys() - FAST, own_path=OWN_PATH))
