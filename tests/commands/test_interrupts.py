@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from parameters import first_fast, needed, slow
+from parameters import needed, slow
 
 from baselines.obstacle_rules.merged_intervals_2d import TWO_PI, counter_clockwise
 from train import cli, interrupts
@@ -34,6 +34,7 @@ def announced(*words):
     return run(*words)
 c._run = announced"""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
+KILLS = 4
 
 
 def start(words, folder, before=""):
@@ -175,9 +176,8 @@ def comparison(out, seed):
     return ["compare", *names, *numbers, "--out", str(out)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", first_fast([1, 4]))
-def test_killed_compare_leaves_complete_folder(number, tmp_path):
+@pytest.mark.nightly
+def test_killed_compare_leaves_complete_folder(tmp_path):
     """The folder is the old or the new one, and the same command resumes.
 
     The final result is bitwise equal to that of an uninterrupted run.
@@ -189,7 +189,7 @@ def test_killed_compare_leaves_complete_folder(number, tmp_path):
         took = time.monotonic() - began
         whole[seed] = files(tmp_path / f"whole-{seed}")
     out, moments, kills, runs = tmp_path / "out", random.Random(0), 0, 0
-    while kills < number:
+    while kills < KILLS:
         seed = runs % 2
         due = runs < kills // 3  # some come to their end, however busy the machine is
         moment = None if due else moments.uniform(0.4, 0.9) * took  # at work, or about to be

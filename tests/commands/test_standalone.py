@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import run_python
-from parameters import first_fast, marked, needed, slow
+from parameters import first_fast, needed, slow
 from robot_actions import neighbour_reading
 
 import baselines
@@ -173,8 +173,8 @@ FIRST = {kind_of(rv.scenarios.get(name)): name for name in reversed(NAMES)}
 """First scenario of each kind."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", marked(NAMES, nightly=set(NAMES) - {*FIRST.values()}))
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", NAMES)
 def test_policies_of_a_robot_are_exported_for_every_scenario(name, tmp_path):
     """All of them for the first scenario of each kind, and one for each of the others."""
     scenario, count = rv.scenarios.get(name), 0

@@ -79,7 +79,7 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
     return run_python(folder, "-c", script, **ours | environment)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cache_keeps_code_by_its_source_and_removes_what_is_long_unused(tmp_path):
     """An edit of an inlined kernel is noticed, an edit of a docstring is not."""
     package(tmp_path, 0.5)

@@ -97,7 +97,7 @@ SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
 FAST = {"plane"}
 OWN_PATH = {
     "large", "vehicles in space", "inertia", "inertia in space", "drawn weights", "uneven arcs",
-    "heading in space", "heading of unicycles", "tank", "tank of unicycles", "discs", "ignored",
+    "heading in space", "heading of unicycles", "tank", "tank of unicycles", "discs",
     "vehicles among spheres", "noise", "view",
 }  # fmt: skip
 """Slow cases; all others are nightly."""
