@@ -85,7 +85,7 @@ def test_noisy_sensors_example_runs(tmp_path):
     assert figure.stat().st_size > 5000
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jax_ppo_example_runs():
     pytest.importorskip("jax")
     program = (EXAMPLES / "15_jax_ppo.py").read_text(encoding="utf-8")

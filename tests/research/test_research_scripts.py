@@ -166,7 +166,7 @@ def test_invalid_argument_is_one_line(words, said, monkeypatch, capsys):
     assert said in err if end.value.code == 2 else said in end.value.code
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_interrupted_search_resumes(tmp_path):
     """The interrupted run has no row either."""
     words = "research/training_search.py --tried small-batch --seeds 0 1".split()
