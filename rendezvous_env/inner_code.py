@@ -14,6 +14,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, _LowerResult, compile_result
 from numba.core.compiler_machinery import PassManager, register_pass
 
+_CONFIG: Any = config
 _LOWERING: Any = typed_passes.NativeLowering
 _LOWER: Any = lowering.Lower
 _LIBRARY: Any = JITCodeLibrary
@@ -30,9 +31,9 @@ class KernelLibrary(_LIBRARY):
         if self.unrolls:
             super()._optimize_final_module()
             return
-        options = llvm.create_pipeline_tuning_options(config.OPT)
-        options.loop_vectorization = config.LOOP_VECTORIZE
-        options.slp_vectorization = config.SLP_VECTORIZE
+        options = llvm.create_pipeline_tuning_options(_CONFIG.OPT)
+        options.loop_vectorization = _CONFIG.LOOP_VECTORIZE
+        options.slp_vectorization = _CONFIG.SLP_VECTORIZE
         options.loop_unrolling = False
         builder = llvm.create_pass_builder(self._codegen._tm, options)
         builder.getModulePassManager().run(self._final_module, builder)
