@@ -8,17 +8,41 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba import _dynfunc  # type: ignore[attr-defined]
-from numba.core import typed_passes, untyped_passes
+from numba.core import config, ir, lowering, typed_passes, untyped_passes
+from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, _LowerResult, compile_result
 from numba.core.compiler_machinery import PassManager, register_pass
 
+_CONFIG: Any = config
 _LOWERING: Any = typed_passes.NativeLowering
+_LOWER: Any = lowering.Lower
 _LIBRARY: Any = JITCodeLibrary
 
 
-class InnerLibrary(_LIBRARY):
+class KernelLibrary(_LIBRARY):
+    """Machine code of a kernel."""
+
+    unrolls = True
+    """False while a kernel without unrolled loops is compiled."""
+
+    def _optimize_final_module(self) -> None:
+        """Optimise, without unrolling of loops if so set; numba always unrolls."""
+        if self.unrolls:
+            super()._optimize_final_module()
+            return
+        options = llvm.create_pipeline_tuning_options(_CONFIG.OPT)
+        options.loop_vectorization = _CONFIG.LOOP_VECTORIZE
+        options.slp_vectorization = _CONFIG.SLP_VECTORIZE
+        options.loop_unrolling = False
+        builder = llvm.create_pass_builder(self._codegen._tm, options)
+        builder.getModulePassManager().run(self._final_module, builder)
+
+
+class InnerLibrary(KernelLibrary):
     """Bitcode to link into other libraries; it never becomes machine code."""
+
+    unrolls = False
 
     is_inlined = False
     """True for code that its callers inline: they optimise it, with their constants in it."""
@@ -37,18 +61,60 @@ class InnerLibrary(_LIBRARY):
         return self.serialize_using_bitcode()
 
 
+class ValueLower(_LOWER):
+    """Lowering of variables to values instead of memory, where each use has one assignment.
+
+    numba does so within a basic block. It keeps all other variables on the stack, and reads a whole
+    tuple of arrays from there for one of its numbers.
+    """
+
+    def _find_singly_assigned_variable(self) -> None:
+        super()._find_singly_assigned_variable()
+        if not (self.context.enable_nrt or self.func_ir.is_generator):
+            self._singly_assigned_vars |= assigned_once(self.func_ir.blocks)
+
+    def storevar(self, value: Any, name: str, argidx: int | None = None) -> None:
+        """Assign a variable; without counted references, its old value needs no release."""
+        if self.context.enable_nrt or name in self._singly_assigned_vars:
+            super().storevar(value, name, argidx)
+        else:
+            self.builder.store(value, self.getvar(name))
+
+
+def assigned_once(blocks: Any) -> set[str]:
+    """Variables of numba blocks with one assignment, which precedes every use.
+
+    Blocks are lowered by number, so the assignment must also have the lower one.
+    """
+    assigned: dict[str, int] = {}
+    several: set[str] = set()
+    for block, content in blocks.items():
+        for statement in content.find_insts(ir.Assign):
+            name = statement.target.name
+            several |= {name} & assigned.keys()
+            assigned[name] = block
+    dominators = compute_cfg_from_blocks(blocks).dominators()
+    for block, used in compute_use_defs(blocks).usemap.items():
+        before = {other for other in dominators.get(block, ()) if other < block}
+        several |= {name for name in used if assigned.get(name) not in before}
+    return assigned.keys() - several
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)
 class InnerLowering(_LOWERING):
     """Lowering of a function into an ``InnerLibrary`` if it gets no entry for Python."""
 
     _name = "inner_lowering"
+    lowering_class = ValueLower
 
     def run_pass(self, state: Any) -> bool:
         """Lower a function; numba's own way if Python may call it."""
-        if not state.flags.no_cpython_wrapper:
-            return bool(super().run_pass(state))
-        state.library = InnerLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        inner = state.flags.no_cpython_wrapper
+        library = InnerLibrary if inner else KernelLibrary
+        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
+        if not inner:
+            return bool(super().run_pass(state))
         state.library.is_inlined = state.flags.forceinline
         state.flags.no_compile = True
         super().run_pass(state)
@@ -84,11 +150,12 @@ loops and annotated sources.
 """
 
 
-def passes_of_kernels() -> PassManager:
-    """Passes that compile a kernel."""
+def passes_of_kernels(counts_references: bool) -> PassManager:
+    """Passes that compile a kernel; without counted references, none that ends lifetimes."""
     manager = PassManager("kernel")
     for one in _PASSES:
-        manager.add_pass(one, one.name())
+        if counts_references or one is not typed_passes.IRLegalization:
+            manager.add_pass(one, one.name())
     manager.finalize()
     return manager
 

@@ -173,7 +173,8 @@ def _content(values: Iterable[Any], names: frozenset[str], seen: set[int]) -> It
     """Content of values; ``names`` are used module attributes, ``seen`` visited functions."""
     for value in values:
         if hasattr(value, "targetoptions"):  # a kernel; its options affect inlining callers
-            yield f"{sorted(value.targetoptions.items())} {getattr(value, 'slp', False)}"
+            tuning = getattr(value, "slp", False), getattr(value, "unroll", True)
+            yield f"{sorted(value.targetoptions.items())} {tuning}"
         value = getattr(value, "py_func", getattr(value, "_defn", value))  # or an intrinsic
         if not isinstance(value, FunctionType):
             text, parts = _described(value, names)

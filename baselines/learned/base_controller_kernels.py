@@ -73,7 +73,7 @@ def room_for_aim(rows: int, neighbour_slots: int) -> AimRoom:
     return AimRoom(room_for(0, 2)[0], *lists, views, angles, *near, np.zeros(LANES))
 
 
-@kernel
+@kernel(unroll=False)
 def aim(axes, robots, rule, arrays, work):
     """Directions of the rule for f rotated by pairs (N, 2), to raw (N, 2).
 

@@ -75,7 +75,7 @@ def _velocity(given, f, degree, h, robot):
     return speed * h[0], speed * h[1]
 
 
-@kernel
+@kernel(unroll=False)
 def show(part, which, seen, moving, known, memory, tanks, shown):
     """Fill the feature rows (B, n, size) of some environments, and update their memory.
 

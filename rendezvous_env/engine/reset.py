@@ -47,7 +47,7 @@ MAX_TRIALS = 1000
 MAX_CONNECTED = 10_000
 
 
-@kernel
+@kernel(unroll=False)
 def draw_graphs(lanes, which, seeds, episodes, rules, links, listed, weights, places):
     """Sample the links of environments by ``GraphRules``.
 
@@ -66,7 +66,7 @@ def draw_graphs(lanes, which, seeds, episodes, rules, links, listed, weights, pl
     return -1
 
 
-@kernel
+@kernel(unroll=False)
 def draw_fields(lanes, which, trial, seeds, episodes, field, n_given, robots, obstacles, positions):
     """Sample the obstacles of environments, clear of the first ``n_given`` robots.
 
@@ -110,7 +110,7 @@ def check_passages(lanes, which, passage, robots, obstacles, positions, chains, 
         walled_in[k] = not all_reachable(world, positions, passage, chains)
 
 
-@kernel
+@kernel(unroll=False)
 def draw_positions(
     lanes,
     which,
@@ -237,7 +237,7 @@ def check_connected(lanes, which, reach, robots, positions, places, parted):
         parted[k] = groups > 1
 
 
-@kernel
+@kernel(unroll=False)
 def draw_memories(lanes, which, robot, draws, seeds, episodes, robots):
     """Initial memory of robot models, sampled if it ``draws``, and the matching frames."""
     d = len(robot.axes)

@@ -251,7 +251,7 @@ class _Constants(NamedTuple):
     max_turn: float  # of a heading, rad
 
 
-@kernel
+@kernel(unroll=False)
 def _steer(axes, robots, constants, arrays, work):
     """Actions min(1, r/(2Dτ)) h max(0, hᵀf − e), e = 2 sin(η/2) D (eq. 4, theorems C and N1')."""
     numbers, room, sums = work
@@ -336,7 +336,7 @@ def _certify_lanes(axes, lanes, gate, limit):
         write(_follow(raw, carried, towards, cap, limit), lanes.heading, lane)
 
 
-@kernel
+@kernel(unroll=False)
 def _turn_bodies(axes, robots, constants, arrays, work):
     """Gated turn rates, and speed v = s mᵀf along the mean body axis m, minus e (theory 4)."""
     observations, held, _, actions, alignment, lyapunov_rate = arrays

@@ -83,7 +83,7 @@ def _law(line, towards, net_bearing, scale, min_alignment, error):
     return scaled(h, scale * (max(along - error, 0.0) if error > 0.0 else along))
 
 
-@kernel
+@kernel(unroll=False)
 def _spend(axes, robots, robot, arrays, work):
     """Actions of single integrators, executed where A + G(Δ) ≥ 0, and diagnostics (theorem D).
 
@@ -186,7 +186,7 @@ def _moved(sent, limit, duration):
     return scaled(sent, duration * within), duration * within * speed
 
 
-@kernel
+@kernel(unroll=False)
 def _spend_bodies(axes, robots, robot, arrays, work):
     """As ``_spend``, for nonholonomic robots, in their body frames."""
     observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]

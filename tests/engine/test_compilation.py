@@ -15,7 +15,7 @@ from test_kernel_cache import python
 import baselines
 import rendezvous_env
 import train
-from rendezvous_env import compilation, kernel_cache
+from rendezvous_env import compilation, inner_code, kernel_cache
 
 
 @pytest.mark.slow
@@ -62,6 +62,57 @@ def test_compilation_leaves_the_typing_of_numba_alone():
     assert type(context) is numba.core.typing.Context and {*vars(context)} == before
     for function in (operator.add, operator.mul, operator.getitem):
         assert type(context.resolve_value_type(function)) is numba.types.Function
+
+
+def test_kernel_keeps_loops_unless_unrolled(monkeypatch):
+    if not compilation.compiled():
+        pytest.skip("nothing is compiled")
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else code has no text
+
+    def product(x):
+        found = 1.0
+        for k in range(len(x)):
+            found *= x[k]
+        return found
+
+    def multiplications(unroll):
+        kernel = compilation.kernel(product, unroll=unroll)
+        assert kernel(np.arange(1.0, 7.0)) == 720.0
+        (made,) = kernel.overloads.values()
+        return made.library.get_llvm_str().count("fmul")
+
+    assert multiplications(unroll=False) < multiplications(unroll=True)
+
+
+def branching(values, limit):
+    """Variables of all lifetimes: across branches, around loops, and after them."""
+    pair = values, values[1:]
+    total, last, found = 0.0, -1.0, False
+    for k in range(len(pair[1])):
+        step = pair[1][k] - pair[0][k]
+        if step > limit:
+            last = step
+            continue
+        if found:
+            total += last
+        found = step < 0.0
+        total += step
+    after = total + last
+    return after if found else -after
+
+
+@pytest.mark.kernels
+def test_kernel_keeps_variables_across_branches_and_loops():
+    compiled = compilation.kernel(branching)
+    for values in ([1.0, 4.0, 2.0, 2.5, 9.0], [3.0, 2.0, 1.0], [0.0, 5.0], [7.0]):
+        assert compiled(np.array(values), 1.0) == branching(np.array(values), 1.0)
+
+
+def test_assigned_once_leaves_out_variables_with_several_assignments_or_earlier_uses():
+    blocks = numba.core.compiler.run_frontend(branching).blocks
+    found = inner_code.assigned_once(blocks)
+    assert {"values", "limit", "pair", "after"} <= found
+    assert not {"total", "last", "found"} & found
 
 
 def test_kernel_with_allocates_returns_arrays():
@@ -152,7 +203,7 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
     def inner(x):
         return 2.0 * x
 
-    @compilation.kernel
+    @compilation.kernel(unroll=False)
     def outer(x):
         return inner(x) + 1.0
 
@@ -161,7 +212,8 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
 
         def compiling(*a, real=kernel._compiler.compile, name=kernel.__name__):
             made = real(*a)
-            seen[name] = gc.isenabled(), numba.config.SLP_VECTORIZE
+            unrolls = inner_code.KernelLibrary.unrolls
+            seen[name] = gc.isenabled(), numba.config.SLP_VECTORIZE, unrolls
             return made
 
         monkeypatch.setattr(kernel._compiler, "compile", compiling)
@@ -169,8 +221,9 @@ def test_kernel_sets_options_and_pauses_the_collector_while_it_is_compiled(enabl
     (gc.enable if enabled else gc.disable)()
     try:
         assert outer(3.0) == 7.0
-        assert seen == {"inner": (False, True), "outer": (False, False)}
+        assert seen == {"inner": (False, True, True), "outer": (False, False, False)}
         assert gc.isenabled() == enabled and numba.config.SLP_VECTORIZE == 0
+        assert inner_code.KernelLibrary.unrolls
         with pytest.raises(numba.core.errors.NumbaError):
             outer("three")
         assert gc.isenabled() == enabled

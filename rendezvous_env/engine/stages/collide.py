@@ -39,7 +39,7 @@ _MARGIN = 1e-3  # m, more than all pushes out of obstacles together
 _NEAREST = 3e-6  # m, more than a skin; margin of reachable distances for exact motion
 
 
-@kernel
+@kernel(unroll=False)
 def stop_at_obstacles(
     lanes,
     d,
@@ -81,7 +81,7 @@ def stop_at_obstacles(
                     execute_motion(met, executed, i, lane, lanes, d, move, environment, contact[b])
 
 
-@kernel
+@kernel(unroll=False)
 def stop_curves_at_obstacles(
     robot,
     lanes,
@@ -164,7 +164,7 @@ def _store_lengths(lengths, lane, lanes, d, move, environment):
     environment[STEP_LENGTH * lanes + lane] = total
 
 
-@kernel
+@kernel(unroll=False)
 def merge_robots(
     lanes,
     first,
