@@ -1,6 +1,7 @@
 # make compare: the main job.  make test: ruff and fast tests, which check every promise once.  Each
 # sets up .venv by itself; compare needs no extra, the others add all of them, as make install does.
 # make test-all: make test and types, then make test-slow, test-kernels and test-adapters.
+# make test-nightly: all other tests, which repeat these with further values.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -11,14 +12,17 @@ export PYTHONDONTWRITEBYTECODE :=
 
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
+TIMELESS := $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 
 # two workers, or WORKERS=4, each of which takes a whole file; tests/conftest.py says in which order
 WORKERS ?= 2
 SHARED := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
+CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q
+
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
-.PHONY: compare install learners test test-all test-slow test-kernels test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install learners test test-all test-slow test-long test-kernels test-nightly test-floors test-pythons test-adapters lint lint-ci style types docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
@@ -32,19 +36,30 @@ learners: $(LEARNERS:%=.venv-adapters/%/installed)
 test: style
 	$(BIN)/python -m pytest -q $(SHARED)
 
-# with --jobs=2 types are checked and learners' environments installed while the fast tests run
+# With --jobs=2 types are checked and learners' environments installed while the fast tests run.
+# Slow tests, index checks and adapters all wait at times, so adapters are tested beside the others.
 test-all: test types learners
+	$(MAKE) test-adapter-ros  # depends on the clock, so alone
+	$(MAKE) --jobs=2 --output-sync=target test-long $(TIMELESS)
+
+test-long:
 	$(MAKE) test-slow
 	$(MAKE) test-kernels
-	$(MAKE) test-adapters
 
 # most kernels come from the disk, where make test left them
 test-slow: .venv/installed
-	$(BIN)/python -m pytest -q -m slow $(SHARED)
+	$(BIN)/python -m pytest -q -m 'slow and not nightly' $(SHARED)
+
+# before a release, and by a scheduled job of the workflow; pytest ends with 5 if it selects nothing
+test-nightly: .venv/installed learners
+	$(BIN)/python -m pytest -q -m nightly $(SHARED)
+	$(CHECKED) -m 'kernels and nightly' $(SHARED)
+	for learner in $(LEARNERS); do .venv-adapters/$$learner/bin/python -m pytest -q -m nightly \
+		tests/adapters/$$learner || test $$? = 5 || exit 1; done
 
 # the tests that run every kernel, with every index checked; kernels that never ran are named and fail
 test-kernels: .venv/installed
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m kernels --every-kernel $(SHARED)
+	$(CHECKED) -m 'kernels and not nightly' --every-kernel $(SHARED)
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed
@@ -58,10 +73,10 @@ test-pythons: $(PYTHONS:%=.venv-%/installed)
 # TorchRL with BenchMARL, and all others that have a folder in tests/adapters; slow tests too
 test-adapters: learners
 	$(MAKE) test-adapter-ros  # depends on the clock, so alone
-	$(MAKE) --jobs=3 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
+	$(MAKE) --jobs=3 --output-sync=target $(TIMELESS)
 
 $(LEARNERS:%=test-adapter-%): test-adapter-%: .venv-adapters/%/installed
-	.venv-adapters/$*/bin/python -m pytest -q -m 'slow or not slow' tests/adapters/$*
+	.venv-adapters/$*/bin/python -m pytest -q -m 'not nightly' tests/adapters/$*
 
 lint: style types
 
@@ -88,11 +103,12 @@ docs: .venv/installed
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable .
 	touch $@
 
-# bytecode by all cores, where pip would use one; packages may hold files for other Pythons
+# bytecode by all cores, where pip would use one, and none of tests; packages may hold files for
+# other Pythons
 .venv/installed: .venv/run
 	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt torch==2.13.0
 	$(BIN)/pip install --quiet --no-compile --constraint constraints.txt --editable '.[train,render,analysis,export,jax,maps,logs,docs,dev]'
-	$(BIN)/python -m compileall -qq -j 0 "$$($(BIN)/python -c "$(SITE)")" || true
+	$(BIN)/python -m compileall -qq -j 0 -x /tests/ "$$($(BIN)/python -c "$(SITE)")" || true
 	touch $@
 
 .venv-lint/installed: constraints-lint.txt

@@ -148,7 +148,7 @@ def _watch(env: Any, spent: Counter[str], clock: Clock) -> None:
         setattr(owner, name, calls_of)
 
     stages = env.unwrapped.simulator._runner._stages
-    teams = getattr(env, "env", env) if hasattr(env, "teams") else env
+    teams = env.env if hasattr(env.env, "filter") else env
     watch("physics", stages, "calls")
     for name in ("apply_calls", "update_calls"):
         watch("safety filter", teams.filter, name)

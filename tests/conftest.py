@@ -96,14 +96,19 @@ LONG = (
 separated, or both workers would compile those."""
 
 
+COLLECTED = pytest.StashKey[list[pytest.Item]]()
+"""All collected tests, before some are selected."""
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark combinations of parameters ``slow``, then order long files first.
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark repetitions ``nightly``, then order long files first.
 
     Files with many tests come next, so that no worker ends with a long file.
     """
-    for item in repeated_combinations(items):
-        item.add_marker(pytest.mark.slow)
+    for item in repetitions(items):
+        item.add_marker(pytest.mark.nightly)
+    config.stash[COLLECTED] = items.copy()
     tests = Counter(item.path for item in items)
 
     def rank(item: pytest.Item) -> tuple[int, int]:
@@ -113,21 +118,34 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=rank)
 
 
-def repeated_combinations(items: list[pytest.Item]) -> Iterator[pytest.Item]:
-    """Tests whose parameters all occur in other fast tests of the same function."""
-    families = defaultdict(list)
+def repetitions(items: list[pytest.Item]) -> Iterator[pytest.Item]:
+    """Tests that repeat others of the same function with further parameters.
+
+    Of combinations of several parameters each value occurs in one test, if possible a fast one.
+    A single parameter that is ``slow`` beside others that are not is a repetition, unless it is
+    marked ``slow(own_path=True)``.
+    """
+    functions = defaultdict(lambda: defaultdict(dict))
     for item in items:
-        if isinstance(item, pytest.Function) and not item.get_closest_marker("slow"):
+        marks = list(item.iter_markers("slow"))
+        kept = item.get_closest_marker("nightly") or any("own_path" in m.kwargs for m in marks)
+        if isinstance(item, pytest.Function) and not kept:
             # the names of its values, one for each decorator or fixture with parameters
             names = item.callspec._idlist if hasattr(item, "callspec") else ()
-            families[item.nodeid.partition("[")[0]].append((item, set(enumerate(names))))
-    for family in families.values():
-        left = set().union(*(values for _, values in family))
-        while left:
-            best = max(family, key=lambda test: len(left & test[1]))
-            family.remove(best)
-            left -= best[1]
-        yield from (item for item, values in family if values)
+            functions[item.nodeid.partition("[")[0]][len(marks)][item] = set(enumerate(names))
+    for levels in functions.values():
+        seen = set()
+        for level, tests in sorted(levels.items()):
+            if level == min(levels) or len(next(iter(tests.values()))) > 1:
+                take_unseen(tests, seen)
+            yield from (test for test, values in tests.items() if values)
+
+
+def take_unseen(tests: dict[pytest.Item, set], seen: set) -> None:
+    """Remove tests that have all unseen values among them, few of them, and add their values."""
+    while unseen := set().union(*tests.values()) - seen:
+        best = max(tests, key=lambda test: len(unseen & tests[test]))
+        seen |= tests.pop(best)
 
 
 ROOT = Path(__file__).parent.parent

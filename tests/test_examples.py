@@ -57,7 +57,7 @@ def test_cleanrl_example_runs():
     assert judged[0][0] == "before" and judged[0][2] == judged[0][1]  # there is nothing to touch
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cleanrl_example_learns():
     size = ("--updates", "60", "--num-envs", "64", "--steps", "64", "--held-out", "200")
     text = run("04_cleanrl_ppo.py", *size)
@@ -85,7 +85,7 @@ def test_noisy_sensors_example_runs(tmp_path):
     assert figure.stat().st_size > 5000
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jax_ppo_example_runs():
     pytest.importorskip("jax")
     program = (EXAMPLES / "15_jax_ppo.py").read_text(encoding="utf-8")
@@ -105,7 +105,7 @@ def test_jax_ppo_example_runs():
     assert found[0] == ("100.0", "100.0") and all(a == b for a, b in found)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jax_gradient_example_improves_the_slowest(tmp_path):
     pytest.importorskip("jax")
     figure = tmp_path / "gradient.png"

@@ -87,7 +87,7 @@ print(baselines.__name__, rv.__file__)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("hidden", [False, True])
 def test_user_files_do_not_shadow_modules(scripts, hidden, tmp_path):
     python = scripts / "python"
@@ -107,7 +107,7 @@ def test_user_files_do_not_shadow_modules(scripts, hidden, tmp_path):
     assert again.splitlines() == printed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_wheel_compares_without_train_extra(scripts, tmp_path):
     installed = call(scripts / "python", "-m", "pip", "list", cwd=tmp_path).lower()
     assert "rendezvous-env" in installed

@@ -23,6 +23,7 @@ def test_kernels_are_found_in_every_package():
     assert kernel_coverage.missing(set()) == sorted(found)
 
 
+@pytest.mark.nightly
 def test_run_fails_and_names_kernels_that_never_ran():
     test = "tests/learn/test_networks.py::test_pooling_kernels_match_torch"
     words = ["-m", "pytest", "-q", "--every-kernel", "-n", "2", test]

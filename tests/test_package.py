@@ -295,7 +295,7 @@ def test_console_script_works_beside_train_py(tmp_path):
     assert ours == theirs and rows[2].startswith("clutter-4,mine:make,2,")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("script", ["main.py", "train.py"])
 def test_safe_names_work_beside_user_files(script, tmp_path):
     """Also in a script of that name; workers load it under another name."""

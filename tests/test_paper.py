@@ -90,7 +90,7 @@ class TestTheorem1:
         assert (simulator.merged_into == 0).all()
         assert simulator.lyapunov() == pytest.approx(0)
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     @pytest.mark.parametrize("dim", [2, 3])
     @pytest.mark.parametrize("family", FAMILIES)
     def test_large_and_crowded_teams_meet(self, family, dim):

@@ -2,13 +2,20 @@
 
 import json
 import re
+import tomllib
+from collections import defaultdict
+from functools import cache
 
 import yaml
-from conftest import ROOT, run_python
+from conftest import COLLECTED, ROOT, run_python, take_unseen
 
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
-JOBS = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))["jobs"]
+WORKFLOWS = {
+    path.stem: yaml.safe_load(path.read_text(encoding="utf-8"))
+    for path in (ROOT / ".github/workflows").iterdir()
+}
+JOBS = {name: job for workflow in WORKFLOWS.values() for name, job in workflow["jobs"].items()}
 OUTSIDE = {"data", "adapters", "research"}
 """Test folders without a guarantee: data, other libraries, scripts."""
 
@@ -32,10 +39,53 @@ def test_promises_name_fast_tests(request):
     """Looked up in this run; what it does not select is collected by another one."""
     named = promised_tests()
     assert len(named) > 40
-    chosen = [item.nodeid for item in request.session.items if "slow" not in item.keywords]
+    chosen = [item.nodeid for item in request.session.items if tier_of(item) == "fast"]
     if left := [name for name in named if not is_among(name, chosen)]:
         found = run_python(ROOT, "-m", "pytest", "--collect-only", "-q", *left).stdout.splitlines()
         assert not [name for name in left if not is_among(name, found)]
+
+
+@cache
+def selections():
+    """Expression of markers by which the command of each tier selects tests."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    commands = {
+        "fast": project["tool"]["pytest"]["ini_options"]["addopts"],
+        "slow": recipe("test-slow"),
+        "nightly": recipe("test-nightly"),
+    }
+    found = {
+        tier: re.search(r"-m ('[^']+'|(?!pytest)\w+) ", line) for tier, line in commands.items()
+    }
+    return {tier: expression[1].strip("'") for tier, expression in found.items()}
+
+
+def tier_of(item):
+    """Name of the only tier that has a test."""
+    marks = {name: item.get_closest_marker(name) is not None for name in ("slow", "nightly")}
+    found = [tier for tier, expression in selections().items() if eval(expression, {}, marks)]
+    assert len(found) == 1, (item.nodeid, found)
+    return found[0]
+
+
+def test_every_test_is_in_exactly_one_tier(request):
+    """A function or a file with nightly tests has others, unless its marker says otherwise."""
+    tiers, functions = defaultdict(set), defaultdict(set)
+    for item in request.config.stash[COLLECTED]:
+        tiers[item.path].add(tier := tier_of(item))
+        whole = any(mark.name == "nightly" for mark in getattr(item.function, "pytestmark", ()))
+        functions[item.nodeid.partition("[")[0]].add("marked" if whole else tier)
+    assert not [path for path, found in tiers.items() if found == {"nightly"}]
+    assert not [function for function, found in functions.items() if found == {"nightly"}]
+
+
+def test_repetitions_have_no_value_of_their_own():
+    values = {(x, y): {(0, x), (1, y)} for x in "abc" for y in range(4)}
+    left, seen = values.copy(), {(0, "a")}
+    take_unseen(left, seen)
+    assert seen == set().union(*values.values())
+    assert len(values) - len(left) == 4  # as many as the longer parameter has values
+    assert values.keys() > left.keys()
 
 
 def test_every_folder_of_tests_has_a_promise():
@@ -62,9 +112,11 @@ def test_workflow_jobs_are_described():
 def test_ci_script_calls_the_test_commands_of_the_readme():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"^make (test[\w-]*)", readme, flags=re.MULTILINE))
-    assert shown == {"test", "test-all"}
+    assert shown == {"test", "test-all", "test-nightly"}
     called = re.findall(r"^make (.*)", (ROOT / ".ci/run").read_text(), flags=re.MULTILINE)
-    assert shown <= {word for line in called for word in line.split()}
+    assert shown - {word for line in called for word in line.split()} == {"test-nightly"}
+    assert "make test-nightly" in commands("nightly")
+    assert "schedule" in WORKFLOWS["nightly"][True]  # YAML 1.1 reads "on" as true
 
 
 def test_containers_use_stages_of_the_dockerfile():

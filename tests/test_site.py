@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 
 import pytest
 from conftest import ROOT, needs_browser, run_python
+from parameters import nightly
 
 pytestmark = pytest.mark.slow
 NOTEBOOK = ROOT / "docs" / "tutorial.ipynb"
@@ -28,7 +29,7 @@ def run(*words: object, **environment: str) -> str:
     return done.stdout + done.stderr
 
 
-@pytest.fixture(scope="module", params=["mkdocs", "zensical"])
+@pytest.fixture(scope="module", params=["mkdocs", nightly("zensical")])
 def site(request):
     """Site by each generator, and the build output."""
     pytest.importorskip(request.param)
@@ -144,6 +145,7 @@ nbformat.write(notebook, sys.argv[2])
 """
 
 
+@pytest.mark.nightly
 def test_tutorial_runs_with_shown_output(tmp_path):
     run("-W", "ignore", "-c", EXECUTE, NOTEBOOK, tmp_path / "run.ipynb")
     kept = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]

@@ -1,7 +1,8 @@
 """Kernels of the base controller: the rule of merged intervals for a batch of robots.
 
-Most obstacles are not visible and most robots are not blocked, in no regular order. Visible
-obstacles are therefore listed without a branch, and angles are computed only for robots near one.
+Most obstacles are not visible and most robots are not blocked, in no regular order. The visible
+obstacles of LANES robots are therefore listed without a branch, and their angles are SIMD over the
+list. Only robots near an obstacle merge intervals.
 """
 
 import math
@@ -9,21 +10,36 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.engine.memory import read, write
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
-from rendezvous_env.physics.vectors import load, load_pair, norm, scaled, split, store, triple
+from rendezvous_env.physics.trigonometry import arctangent, cos_sin
+from rendezvous_env.physics.vectors import (
+    combine,
+    cross_in_plane,
+    dot,
+    load,
+    load_pair,
+    norm,
+    perpendicular,
+    scaled,
+    split,
+    store,
+)
 from rendezvous_env.safety.heading import scale_of_step
 from rendezvous_env.safety.robot_lanes import LANES, give_out, lanes_of, room_for, sum_rows, take_in
 
 from ..obstacle_rules.merged_intervals_2d import (
     comes_near,
-    heading_past,
-    interval_around,
     least_square_cosine,
+    turn_past,
+    width_of,
 )
-from ..obstacle_rules.obstacle_edges import list_seen
+from ..obstacle_rules.obstacle_edges import NO_SIGNS
 from ..steering import WITHIN
+
+_BESIDE = min(16, LANES)
+"""Obstacles processed at a time; loops over 8 are unrolled before they become SIMD."""
 
 
 class Rule(NamedTuple):
@@ -34,10 +50,27 @@ class Rule(NamedTuple):
     persistence: float
 
 
-def room_for_aim(rows: int, neighbour_slots: int) -> Any:
-    """Working memory of ``aim``: as ``room_for``, and rows and intervals of visible obstacles."""
-    obstacles = (rows - neighbour_slots) // 2
-    return room_for(0, 2)[0], np.empty(obstacles + 1, np.int64), np.empty((obstacles, 2))
+class AimRoom(NamedTuple):
+    """Working memory of ``aim`` for LANES robots and ``size`` visible obstacles."""
+
+    numbers: Any  # as of ``room_for``
+    listed: Any  # (size,), first rows of visible obstacles, of all rows of the robots
+    owners: Any  # (size,), their robots
+    stops: Any  # (LANES,), where the obstacles of each robot end in the list
+    views: Any  # (6, size): x, y of an obstacle's edges and of its robot's direction
+    angles: Any  # (2 size,), intervals, rad
+    is_near: Any  # (size,), whether the obstacle is near the direction
+    blocked: Any  # (LANES,), whether any of a robot's obstacles is
+    turns: Any  # (LANES,), rad
+
+
+def room_for_aim(rows: int, neighbour_slots: int) -> AimRoom:
+    """Working memory of ``aim`` for observations with this number of rows."""
+    size = LANES * ((rows - neighbour_slots) // 2 + 1)
+    lists = np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(LANES, np.int64)
+    views, angles = np.zeros((6, size)), np.zeros(2 * size)
+    near = np.zeros(size, np.bool_), np.zeros(LANES, np.bool_)
+    return AimRoom(room_for(0, 2)[0], *lists, views, angles, *near, np.zeros(LANES))
 
 
 @kernel
@@ -48,12 +81,9 @@ def aim(axes, robots, rule, arrays, work):
     headings, and raw, which may be the headings.
     """
     observations, bits, rotations, headings, raw = arrays
-    numbers, listed, intervals = work
-    if numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
+    if work.numbers.shape[1] != LANES:  # always true; tells the compiler the row stride
         return
-    lanes = lanes_of(numbers)
-    how, least = (rule.clearance, rule.persistence), least_square_cosine(rule.clearance)
-    always_near = rule.clearance >= 0.5 * math.pi
+    lanes = lanes_of(work.numbers)
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         rows = observations[first:stop]
@@ -64,21 +94,79 @@ def aim(axes, robots, rule, arrays, work):
             length, aside = split((c * f[0] - s * f[1], s * f[0] + c * f[1]))
             towards = aside[0] if length > 0.0 else 1.0, aside[1] if length > 0.0 else 0.0
             write(towards, lanes.heading, lane)
-        for lane in range(len(rows)):
-            towards, near = read(lanes.heading, lane, axes), always_near
-            count = list_seen(bits[first + lane], rule.neighbour_slots, len(intervals), listed)
-            for k in range(count):
-                row = listed[k]
-                last, clockwise = load_pair(rows[lane, row]), load_pair(rows[lane, row + 1])
-                near |= comes_near(towards, last, clockwise, least)
-            if near:
-                for k in range(count):
-                    silhouette = rows[lane, listed[k] : listed[k] + 2]
-                    interval_around(triple(towards), silhouette, intervals[k])
-                carried = load(headings[first + lane])
-                heading = heading_past(triple(towards), intervals[:count], carried, how)
-                write(heading, lanes.heading, lane)
+        count = _list_obstacles(bits[first:stop], rule.neighbour_slots, work)
+        if count > 0:
+            _see_obstacles(rule.clearance, rows, lanes.heading, count, work)
+            _turn_past(axes, rule, headings[first:stop], lanes.heading, work)
         give_out(axes, lanes.heading, first, stop, raw)
+
+
+@inner_kernel
+def _list_obstacles(bits, neighbour_slots, work):
+    """List the visible obstacles of robots (N, rows, 1), without a branch; returns their number."""
+    stride, pairs, count = bits.shape[1], bits.reshape(-1), 0
+    for lane in range(len(bits)):
+        for row in range(lane * stride + neighbour_slots, (lane + 1) * stride - 1, 2):
+            place = np.uint64(count)
+            work.listed[place], work.owners[place] = row, lane
+            count += (pairs[np.uint64(row)] & NO_SIGNS) != 0
+        work.stops[lane] = count
+    return count
+
+
+@inner_kernel
+def _see_obstacles(clearance, rows, directions, count, work):
+    """Intervals of listed obstacles around directions (3, LANES), and robots near any."""
+    edges, least = rows.reshape(-1), least_square_cosine(clearance)
+    for k in range(count):
+        lane, first = work.owners[k], 2 * work.listed[k]
+        for part in range(4):
+            work.views[part, k] = edges[first + part]
+        work.views[4, k], work.views[5, k] = directions[0, lane], directions[1, lane]
+    for start in range(0, count, _BESIDE):
+        _see_lanes(start, least, work)
+    work.blocked[:] = clearance >= 0.5 * math.pi
+    for k in range(count):
+        work.blocked[work.owners[k]] |= work.is_near[k]
+
+
+@inner_kernel(inline="code")
+def _see_lanes(start, least, work):
+    """Intervals as of ``interval_around``, and ``comes_near``, of obstacles from one on."""
+    views, stop = work.views, start + _BESIDE
+    last_x, last_y = views[0, start:stop], views[1, start:stop]
+    first_x, first_y = views[2, start:stop], views[3, start:stop]
+    u_x, u_y = views[4, start:stop], views[5, start:stop]
+    is_near, angles = work.is_near[start:stop], work.angles[2 * start : 2 * stop]
+    for k in range(_BESIDE):
+        last, clockwise = (last_x[k], last_y[k]), (first_x[k], first_y[k])
+        is_near[k] = comes_near((u_x[k], u_y[k]), last, clockwise, least)
+    for k in range(_BESIDE):
+        last, clockwise = (last_x[k], last_y[k]), (first_x[k], first_y[k])
+        angles[2 * k] = _angle_between((u_x[k], u_y[k]), clockwise)
+        angles[2 * k + 1] = width_of(_angle_between(clockwise, last))
+
+
+@inner_kernel(inline="code")
+def _angle_between(one, other):
+    """Angle from one pair counter-clockwise to another, rad in [−π, π]."""
+    return arctangent(cross_in_plane(one, other), dot(one, other))
+
+
+@inner_kernel
+def _turn_past(axes, rule, carried, directions, work):
+    """Turn directions (3, LANES) of the robots near obstacles past these."""
+    intervals, start, how = work.angles.reshape(-1, 2), 0, (rule.clearance, rule.persistence)
+    work.turns[:] = 0.0
+    for lane in range(len(carried)):
+        stop = work.stops[lane]
+        if work.blocked[lane]:
+            towards, kept = read(directions, lane, axes), load_pair(carried[lane])
+            work.turns[lane] = turn_past(towards, intervals[start:stop], kept, how)
+        start = stop
+    for lane in range(LANES):
+        (c, s), towards = cos_sin(work.turns[lane]), read(directions, lane, axes)
+        write(combine(c, towards, s, perpendicular(towards)), directions, lane)
 
 
 @kernel

@@ -44,21 +44,22 @@ def merged_heading_2d(towards, silhouettes, carried, rule, intervals):
     if is_clear(towards, silhouettes, rule[0]):
         return towards
     count = intervals_around(towards, silhouettes, intervals)
-    return heading_past(towards, intervals[:count], carried, rule)
+    return rotated(towards, turn_past(towards, intervals[:count], carried, rule))
 
 
 @inner_kernel
-def heading_past(towards, intervals, carried, rule):
-    """Heading past merged intervals (count, 2) around a unit triple, see ``merged_headings_2d``."""
+def turn_past(towards, intervals, carried, rule):
+    """Angle past merged intervals (count, 2) around a unit pair or triple, rad.
+
+    See ``merged_headings_2d``; ``rule`` is clearance and persistence.
+    """
     clearance, persistence = rule
     low, high, gap_below, gap_above = merged_interval(intervals)
-    turn = 0.0
-    if not (high - low >= TWO_PI or low >= clearance or high <= -clearance):
-        if _is_upper_nearer(low, high, towards, carried, persistence):
-            turn = high + min(clearance, 0.5 * gap_above)
-        else:
-            turn = low - min(clearance, 0.5 * gap_below)
-    return rotated(towards, turn)
+    if high - low >= TWO_PI or low >= clearance or high <= -clearance:
+        return 0.0
+    if _is_upper_nearer(low, high, towards, carried, persistence):
+        return high + min(clearance, 0.5 * gap_above)
+    return low - min(clearance, 0.5 * gap_below)
 
 
 @inner_kernel
@@ -148,9 +149,16 @@ def interval_around(towards, silhouette, interval):
     """
     last, first = load(silhouette[0]), load(silhouette[1])
     interval[0] = math.atan2(cross_in_plane(towards, first), dot(towards, first))
-    width = math.atan2(cross_in_plane(first, last), dot(first, last))
-    # at contact, rounding or sensor errors may swap the edges
-    interval[1] = max(width, 0.0) if width > -0.5 * math.pi else width + TWO_PI
+    interval[1] = width_of(math.atan2(cross_in_plane(first, last), dot(first, last)))
+
+
+@inner_kernel(inline="code")
+def width_of(angle):
+    """Width of a silhouette, rad, from the angle between its edges.
+
+    At contact, rounding or sensor errors may swap the edges.
+    """
+    return max(angle, 0.0) if angle > -0.5 * math.pi else angle + TWO_PI
 
 
 @inner_kernel

@@ -18,7 +18,7 @@ STRAIGHT_AHEAD = -1
 TOUCHED = 1e-4
 """Sum of opposite points below which rounding to float32 would determine their middle."""
 
-_NO_SIGNS = 0x7FFFFFFF7FFFFFFF
+NO_SIGNS = 0x7FFFFFFF7FFFFFFF
 """Bit mask of two float32 without their signs, since zeros have either sign."""
 
 
@@ -64,7 +64,7 @@ def list_seen(bits, first, obstacles, listed):
     for m in range(obstacles):
         row = first + 2 * m
         listed[count] = row
-        count += (bits[row, 0] & _NO_SIGNS) != 0
+        count += (bits[row, 0] & NO_SIGNS) != 0
     return count
 
 

@@ -1,4 +1,4 @@
-"""Cosine and sine of one angle without branches, so that loops over lanes become SIMD.
+"""Cosine, sine and arctangent without branches, so that loops over lanes become SIMD.
 
 The library functions of C are called lane by lane, and their last digit depends on the platform.
 """
@@ -36,6 +36,22 @@ _C = (
     2.087614614655861e-09,
     -1.1382623647474604e-11,
 )
+# (atan t − t)/t³ as a polynomial of t², likewise for |t| ≤ 1/3: error of 2·10⁻¹⁸ of (atan t)/t
+_A = (
+    -0.3333333333333333,
+    0.1999999999999738,
+    -0.14285714284934276,
+    0.11111111020815218,
+    -0.0909090376763387,
+    0.07692126730373454,
+    -0.06662899051580884,
+    0.0583330243012363,
+    -0.0486935598723719,
+    0.02923200151550045,
+)
+_HALF = float.fromhex("0x1.dac670561bb4fp-2"), float.fromhex("0x1.a2b7f222f65e2p-56")
+"""atan(1/2) as a sum."""
+_PI = math.pi, float.fromhex("0x1.1a62633145c07p-53")
 
 
 @kernel(inline="code")
@@ -66,3 +82,29 @@ def cos_sin(angle):
 @kernel(inline="code")
 def _fourth(factors, square):
     return factors[3] + square * (factors[4] + square * factors[5])
+
+
+@kernel(inline="code")
+def arctangent(y, x):
+    """Angle of the vector (x, y) from the x axis, rad in [−π, π], as ``math.atan2``.
+
+    The relative error is at most 3·10⁻¹⁶. Coordinates are at most 8·10³⁰⁷, of any unit; of two
+    zeros the signs count. It is NaN if one is NaN or both are infinite.
+    """
+    along, across = abs(x), abs(y)
+    steep = across > along
+    small, large = (along, across) if steep else (across, along)
+    # atan(a/b) = atan(1/2) + atan((2a − b)/(2b + a)), where the difference is exact
+    beyond = 3.0 * small > large
+    top, bottom = (2.0 * small - large, 2.0 * large + small) if beyond else (small, large)
+    tangent = top / (bottom if bottom != 0.0 else 1.0)
+    square = tangent * tangent
+    bend = _A[6] + square * (_A[7] + square * (_A[8] + square * _A[9]))
+    bend = _A[3] + square * (_A[4] + square * (_A[5] + square * bend))
+    bend = _A[0] + square * (_A[1] + square * (_A[2] + square * bend))
+    high, low = _HALF if beyond else (0.0, 0.0)
+    angle = high + (tangent + (tangent * (square * bend) + low))
+    back = math.copysign(1.0, x) < 0.0
+    first = 0.5 if steep else (1.0 if back else 0.0)  # half turns
+    angle = first * _PI[0] + ((-angle if steep != back else angle) + first * _PI[1])
+    return math.copysign(angle, y)

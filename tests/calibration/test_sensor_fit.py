@@ -52,7 +52,7 @@ def test_intervals_are_narrow(fits):
     assert fits[0].parameters["bias"].low > 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_intervals_cover_known_parameters_in_ten_logs():
     """At 99 %, an interval misses rarely: 1 of 10 logs at most, 4 % of all."""
     missed, count = [], 0

@@ -172,7 +172,7 @@ def test_compilation_is_announced_once_if_it_takes_long_in_all(
     assert capsys.readouterr().err.count("rendezvous warmup") == said
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cold_first_step_announces_compilation(tmp_path):
     code = (
         "import rendezvous_env as rv; from rendezvous_env import compilation; "

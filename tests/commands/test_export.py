@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 import torch
 from inference_network import make_network, stirred
-from parameters import first_fast, slow
+from parameters import first_fast, needed, slow
 from stable_baselines3 import PPO, SAC
 
 import baselines
@@ -120,7 +120,7 @@ class TestPolicy:
     @pytest.mark.parametrize(
         ("name", "field"),
         [("learned", "clutter-12"), ("learned-tank", "clutter-12"),
-         slow("learned-tank", "clutter-3d-32"), slow("learned-tank", "uav-clutter-16")],
+         slow("learned-tank", "clutter-3d-32"), needed("learned-tank", "uav-clutter-16")],
     )  # fmt: skip
     def test_exported_policy_moves_as_original(self, name, field, tmp_path):
         """The file contains only the network, without planes, features and tanks."""

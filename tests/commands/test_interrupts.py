@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from parameters import slow
+from parameters import needed, slow
 
 from baselines.obstacle_rules.merged_intervals_2d import TWO_PI, counter_clockwise
 from train import cli, interrupts
@@ -27,6 +27,12 @@ COMMANDS = {
     "bench": ["--seconds", "60", "--only", "one-team"],
 }
 """Commands that may take long; the others share the same lines of cli.py."""
+ANNOUNCED = """
+run = c._run
+def announced(*words):
+    print("at work", flush=True)
+    return run(*words)
+c._run = announced"""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 KILLS = 4
 
@@ -51,6 +57,7 @@ def stop(process, number):
 
 
 FAST = ("compare", signal.SIGINT)
+OWN = {FAST, ("train", signal.SIGTERM)}
 
 
 class TestCommands:
@@ -58,15 +65,17 @@ class TestCommands:
         ("command", "number"),
         [
             FAST,
-            *(slow(*both) for both in product(("compare", "train"), SIGNALS) if both != FAST),
+            needed("train", signal.SIGTERM),
+            *(slow(*both) for both in product(("compare", "train"), SIGNALS) if both not in OWN),
             slow("verify", signal.SIGTERM),
             slow("render", signal.SIGINT),
             slow("bench", signal.SIGTERM),
         ],
     )
     def test_signal_ends_running_command(self, command, number, tmp_path):
-        process = start([command, *COMMANDS[command]], tmp_path)
-        time.sleep(4.0)
+        process = start([command, *COMMANDS[command]], tmp_path, ANNOUNCED)
+        assert process.stdout.readline() == "at work\n"  # however busy the machine is
+        time.sleep(3.0)
         assert process.poll() is None
         status, said, wrong, took = stop(process, number)
         assert status == 128 + number and took < 5.0
@@ -167,7 +176,7 @@ def comparison(out, seed):
     return ["compare", *names, *numbers, "--out", str(out)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_compare_leaves_complete_folder(tmp_path):
     """The folder is the old or the new one, and the same command resumes.
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import run_python
-from parameters import first_fast, slow
+from parameters import first_fast, needed, slow
 from robot_actions import neighbour_reading
 
 import baselines
@@ -168,19 +168,24 @@ def kind_of(scenario):
     return scenario.robot_model, scenario.dim, scenario.mixes_models, bool(scenario.obstacles)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", rv.scenarios.names())
+NAMES = rv.scenarios.names()
+FIRST = {kind_of(rv.scenarios.get(name)): name for name in reversed(NAMES)}
+"""First scenario of each kind."""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", NAMES)
 def test_policies_of_a_robot_are_exported_for_every_scenario(name, tmp_path):
     """All of them for the first scenario of each kind, and one for each of the others."""
-    every, scenario, count = rv.scenarios.names(), rv.scenarios.get(name), 0
-    first = next(one for one in every if kind_of(rv.scenarios.get(one)) == kind_of(scenario))
+    scenario, count = rv.scenarios.get(name), 0
+    first = FIRST[kind_of(scenario)]
     robots = [0, scenario.n_robots - 1] if scenario.mixes_models else [None]
     for robot in robots:
         own = scenario if robot is None else scenario.of_robot(robot)
         kinds = ("law", "rule", "learned")
         names = [one for one in baselines.names(own) if baselines.policy.kind_of(one) in kinds]
         assert len(names) > 1
-        for policy in names if name == first else [names[every.index(name) % len(names)]]:
+        for policy in names if name == first else [names[NAMES.index(name) % len(names)]]:
             words = ["--policy", policy, "--standalone", str(tmp_path / f"{count}.py")]
             words += ["--checks", "20"] + ["--robot", str(robot)] * (robot is not None)
             assert cli.main(["export", *words, "--scenario", name]) == 0, policy
@@ -193,8 +198,9 @@ class TestAgreement:
         ("policy", "name", "steps"),
         [
             *((policy, "clutter-12", 120) for policy in POLICIES),
-            *(slow(*one, 60) for one in SHORT),
-            *(slow(*one, 10_000) for one in LONG),
+            *(needed(*one, 60) for one in SHORT),
+            needed(*SPACE[-1], 10_000),
+            *(slow(*one, 10_000) for one in LONG if one != SPACE[-1]),
         ],
     )
     def test_standalone_file_matches_policy(self, exported, policy, name, steps):
@@ -210,7 +216,8 @@ class TestAgreement:
         ("policy", "name"),
         [
             *((policy, "clutter-12") for policy in POLICIES),
-            *(slow(*one) for one in (*SHORT, *SPACE)),
+            *(needed(*one) for one in SHORT),
+            *(slow(*one) for one in SPACE),
         ],
     )
     def test_standalone_file_matches_policy_where_net_bearing_is_zero(self, exported, policy, name):
@@ -566,11 +573,11 @@ def test_robotarium_robots_pack_without_contact(exported):
     ("policy", "n"),
     [
         ("learned", 4),
-        ("learned-tank", 4),
-        ("bearing-only", 10),
-        ("learned-tank", 10),
         ("bearing-only", 20),
-        ("learned", 20),
+        slow("learned-tank", 4),
+        slow("bearing-only", 10),
+        slow("learned-tank", 10),
+        slow("learned", 20),
     ],
 )
 def test_robotarium_scenarios_are_valid(exported, policy, n):

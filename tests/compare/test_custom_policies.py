@@ -69,7 +69,7 @@ def mine(tmp_path, monkeypatch):
     sys.modules.pop(name, None)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_custom_policy_is_compared_by_workers(mine, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
     names = [f"{mine}:law", f"{mine}:sideways", f"{mine}:Away", "bearing-only"]

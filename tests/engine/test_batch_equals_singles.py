@@ -72,6 +72,8 @@ KERNELS = (
     "own clocks", "failures", "packing", "field", "errors", "measured in two rows",
 )  # fmt: skip
 """Cases that call nearly every kernel of a step; other tests call the rest."""
+OWN_PATH = {*KERNELS, "spheres", "flying", "inertia in the plane"}
+"""Cases that are not nightly: events, clocks, robot models, and kinds of obstacles."""
 MEETS_NOTHING = (
     "nothing in the way", "two rows", "drawn graphs", "errors in the open", "errors in two rows",
     "measured in space", "measured in two rows", "packing", "own clocks",
@@ -134,7 +136,7 @@ def test_little_work_is_not_shared(shared):
 
 @pytest.mark.parametrize(
     "name",
-    marked(SCENARIOS, slow=SLOW, kernels=KERNELS),
+    marked(SCENARIOS, slow=SLOW, own_path=OWN_PATH, kernels=KERNELS),
 )
 def test_batch_equals_singles(name, shared, monkeypatch):
     """40 environments are one full block and one padded block, one per thread."""

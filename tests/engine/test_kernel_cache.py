@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from conftest import ROOT, run_python
-from parameters import slow
+from parameters import first_fast, slow
 
 from rendezvous_env import compilation, kernel_cache
 from rendezvous_env.engine.memory import transposition
@@ -79,7 +79,7 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
     return run_python(folder, "-c", script, **ours | environment)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cache_keeps_code_by_its_source_and_removes_what_is_long_unused(tmp_path):
     """An edit of an inlined kernel is noticed, an edit of a docstring is not."""
     package(tmp_path, 0.5)
@@ -402,7 +402,7 @@ def copied(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", EDITS)
+@pytest.mark.parametrize("kind", first_fast(EDITS))
 def test_cache_notices_an_edit_of_each_kind(kind, copied):
     """The numbers change; most kernels in use are loaded from disk."""
     file, text, edited, fields = EDITS[kind]

@@ -28,7 +28,7 @@ TEAMS = 7
 SOME = np.array([False, True, False, False, True, True, False])
 
 
-@pytest.fixture(params=marked(KINDS, slow=INERTIA))
+@pytest.fixture(params=marked(KINDS, own_path=INERTIA))
 def scenario(request) -> Scenario:
     team = {"n_robots": 5, "graph": UNEQUAL, "spawn_size": 6.0, "merge_radius": 0.4}
     return Scenario(**team | (KINDS | CHANGING)[request.param])
@@ -45,7 +45,7 @@ def halfway(scenario: Scenario, merges: bool = True) -> tuple[Simulator, np.ndar
 
 @pytest.mark.parametrize(
     "scenario",
-    marked([*KINDS, *CHANGING], slow=INERTIA, kernels=["proximity"]),
+    marked([*KINDS, *CHANGING], own_path=INERTIA, kernels=["proximity"]),
     indirect=True,
 )
 def test_partial_resets_agree_and_keep_other_environments(scenario):

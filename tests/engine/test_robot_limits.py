@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from parameters import slow
+from parameters import needed, slow
 
 import rendezvous_env as rv
 from rendezvous_env import baselines
@@ -20,8 +20,8 @@ MODELS = [
     ("single_integrator", 2),
     ("unicycle", 2),
     slow("single_integrator", 3),
-    slow("double_integrator", 2),
-    slow("nonholonomic_3d", 3),
+    needed("double_integrator", 2),
+    needed("nonholonomic_3d", 3),
 ]
 CLUTTER = {2: (rv.Disc((0.5, 0.3), 0.4),), 3: (rv.Sphere((0.5, 0.3, 0.0), 0.4),)}
 START = np.array([[-2.0, 0.0, 0.0], [0.5, -1.0, 0.5], [2.0, 1.0, 0.0], [-1.0, 2.0, 1.0]])

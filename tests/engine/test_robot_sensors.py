@@ -81,7 +81,7 @@ def seen(scenario: rv.Scenario, batch: int, steps: int = 3) -> np.ndarray:
 
 
 @pytest.mark.parametrize("others", OTHERS)
-@pytest.mark.parametrize("team", marked(TEAMS, slow=["space"], kernels=["space"]))
+@pytest.mark.parametrize("team", marked(TEAMS, own_path=["space"], kernels=["space"]))
 def test_sensors_each_robot_observes_as_in_a_team_of_its_sensor(team, others):
     scenario, common = TEAMS[team], OTHERS[others]
     found = seen(scenario.replace(sensing=mixed(others)), 2)

@@ -15,7 +15,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from conftest import five
-from parameters import slow
+from parameters import needed, slow
 
 import rendezvous_env as rv
 from rendezvous_env import Simulator
@@ -206,7 +206,7 @@ def test_share_when_interrupted_is_complete_or_never_begun(again, most, kind):
     np.testing.assert_array_equal(marked(9, most), 1.0)  # and the threads still work
 
 
-@pytest.mark.parametrize("around", [None, slow(HeadingVectorWrapper), slow(EnergyTankWrapper)])
+@pytest.mark.parametrize("around", [None, slow(HeadingVectorWrapper), needed(EnergyTankWrapper)])
 def test_step_when_interrupted_advances_all_environments_or_none(around, monkeypatch):
     """Interrupts at any time of a step of four threads.
 

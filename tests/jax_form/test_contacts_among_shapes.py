@@ -4,7 +4,7 @@ import importlib
 
 import numpy as np
 import pytest
-from parameters import slow
+from parameters import first_fast
 
 import rendezvous_env as rv
 from rendezvous_env.graphs.merging import merge_swept
@@ -29,7 +29,7 @@ WORLDS = {
         rv.Sphere((0.0, 0.0, 0.0), 0.9),
     ],
 }
-LONG = [slow("mixed", SLIDE), slow("mixed", STOP), slow("space", SLIDE)]
+LONG = [("mixed", SLIDE), ("mixed", STOP), ("space", SLIDE)]
 
 
 def fields_of(name):
@@ -78,7 +78,7 @@ def test_contacts_equal_the_kernels(name, mode, rj):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "mode"), LONG)
+@pytest.mark.parametrize(("name", "mode"), first_fast(LONG))
 def test_gradients_of_contacts_equal_differences(name, mode, rj):
     """Where differences on both sides agree, so that no decision changes; elsewhere finite."""
     import jax

@@ -23,7 +23,10 @@ def together(state):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", marked(MODELS, slow=MODELS.keys() - {"single integrators"}))
+@pytest.mark.parametrize(
+    "model",
+    marked(MODELS, slow=MODELS.keys() - {"single integrators"}),
+)
 def test_gradients_are_finite_at_singular_states(model, rj):
     """Coincident robots, f = 0 between two others, actions of zero, and robots at rest."""
     import jax
@@ -99,7 +102,7 @@ CONTACTS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", CONTACTS)
 def test_gradients_through_contact_equal_differences(case, rj):
     """Each robot moves towards the middle of an obstacle, and past it."""

@@ -34,6 +34,11 @@ CASES = {
 for _name in ("tangent-merged-tuned", "tank-merged", "learned", "learned-tank"):
     for _scenario in ("unicycle-clutter-8", "clutter-3d", "uav-clutter-16"):
         CASES[f"{_name}, {_scenario}"] = _name, _scenario, {}
+OWN_PATH = {
+    "tank, walls", "learned", "tangent-merged-tuned, unicycle-clutter-8",
+    "tank-merged, uav-clutter-16",
+}  # fmt: skip
+"""One slow case of each rule, of a network, and of robots in 3-D."""
 SLOW = {case for case, (name, *_) in CASES.items() if name.startswith(("t", "learned"))}
 
 
@@ -42,7 +47,7 @@ def jax_policies(rj):
     return importlib.import_module("rendezvous_env.baselines.jax")
 
 
-@pytest.mark.parametrize("case", marked(CASES, slow=SLOW))
+@pytest.mark.parametrize("case", marked(CASES, slow=SLOW, own_path=OWN_PATH))
 def test_policy_equals_its_numpy_form(case, jax_policies):
     import jax
 

@@ -95,6 +95,12 @@ CASES = {
 }  # fmt: skip
 SETTINGS = ("certified", "frame", "bearing_error", "budget", "observe_level")
 FAST = {"plane"}
+OWN_PATH = {
+    "large", "vehicles in space", "inertia", "inertia in space", "drawn weights", "uneven arcs",
+    "heading in space", "heading of unicycles", "tank", "tank of unicycles", "discs",
+    "vehicles among spheres", "noise", "view",
+}  # fmt: skip
+"""Slow cases; all others are nightly."""
 TOUCHING = {"discs", "figure", "corridor", "all shapes"}
 
 
@@ -112,7 +118,26 @@ def choices(rng, env, observations, guarantee):
     return actions[..., : scenario.action_size]
 
 
-@pytest.mark.parametrize("case", marked(CASES, slow=CASES.keys() - FAST))
+def features(case):
+    """Robot model, obstacles, filter and sensor of a case."""
+    name, guarantee, changes = CASES[case]
+    fields = {key: value for key, value in changes.items() if key not in SETTINGS}
+    scenario = rv.scenarios.get(name).replace(**fields)
+    sensor, exact = vars(scenario.sensing), vars(rv.Sensing())
+    return {
+        (scenario.robot_model, scenario.dim),
+        (bool(scenario.obstacles), scenario.dim),
+        (guarantee, scenario.model.nonholonomic),
+        *(name for name in exact if sensor[name] != exact[name]),
+    }
+
+
+def test_every_feature_has_a_case_that_is_not_nightly():
+    kept, every = (set().union(*map(features, cases)) for cases in (FAST | OWN_PATH, CASES))
+    assert every - kept == set()
+
+
+@pytest.mark.parametrize("case", marked(CASES, slow=CASES.keys() - FAST, own_path=OWN_PATH))
 def test_step_agrees_with_the_engine(case, rj):
     name, guarantee, changes = CASES[case]
     shared = {"num_envs": TEAMS, "autoreset_mode": "SAME_STEP", "time_limit": 2.0, **changes}

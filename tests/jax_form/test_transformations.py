@@ -56,7 +56,7 @@ def test_gradients_equal_central_differences_through_merges(rj):
     assert slope_of_gain == pytest.approx(float(difference), rel=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gradients_are_finite_for_coincident_robots_and_zero_actions(rj):
     import jax
 

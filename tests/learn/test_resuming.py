@@ -13,7 +13,7 @@ import time
 import pytest
 import tyro
 from conftest import contents
-from parameters import slow
+from parameters import first_fast, slow
 from training_runs import (
     UPDATE,
     assert_goes_on,
@@ -157,7 +157,7 @@ class TestResume:
         assert_same_run(whole, folder)
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("kills", [4])
+    @pytest.mark.parametrize("kills", first_fast([1, 4]))
     def test_kill_at_random_times_resumes(self, kills, whole, tmp_path):
         folder, moments = tmp_path / "run", random.Random(kills)
         words = flags(folder)

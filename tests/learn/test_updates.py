@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from parameters import slow
+from parameters import needed, slow
 from stable_baselines3 import PPO
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
@@ -54,7 +54,7 @@ def after(model, train):
     return {k: v.detach() for k, v in own.policy.named_parameters()}, told
 
 
-@pytest.mark.parametrize("memory", ["none", slow("recurrent")])
+@pytest.mark.parametrize("memory", ["none", needed("recurrent")])
 def test_update_equals_stable_baselines3(memory):
     """One batch, over which both normalise advantages; three gradient steps."""
     model = collected(memory)

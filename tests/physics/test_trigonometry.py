@@ -1,4 +1,4 @@
-"""Cosine and sine of kernels, against those of the C library."""
+"""Cosine, sine and arctangent of kernels, against those of the C library."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.trigonometry import cos_sin
+from rendezvous_env.physics.trigonometry import arctangent, cos_sin
 
 pytestmark = pytest.mark.kernels
 ANGLES = [
@@ -64,3 +64,66 @@ def test_cos_sin_of_no_angle_is_nan():
 def test_cos_sin_interpreted_equals_compiled():
     plain = getattr(cos_sin, "py_func", cos_sin)
     assert [plain(angle) for angle in ANGLES[:200]] == [tuple(pair) for pair in over(ANGLES[:200])]
+
+
+@kernel
+def angles_of(vectors, out):
+    for k in range(len(out)):
+        out[k] = arctangent(vectors[k, 1], vectors[k, 0])
+
+
+def arctangents(vectors):
+    vectors = np.asarray(vectors, float)
+    out = np.empty(len(vectors))
+    angles_of(vectors, out)
+    return out
+
+
+def library(vectors):
+    return np.array([math.atan2(y, x) for x, y in vectors])
+
+
+def directions():
+    """Vectors in all quadrants, near the axes, near slopes 1/3, 1/2 and 1, and of many lengths."""
+    random = np.random.default_rng(5)
+    vectors = random.normal(size=(20_000, 2))
+    vectors[:5000, 0] *= 10.0 ** random.uniform(-300, 0, 5000)
+    vectors[5000:10_000, 1] *= 10.0 ** random.uniform(-300, 0, 5000)
+    slopes = random.choice([1 / 3, 1 / 2, 1.0, 2.0, 3.0], 5000) * (1 + random.normal(0, 1e-3, 5000))
+    vectors[10_000:15_000, 1] = slopes * vectors[10_000:15_000, 0]
+    return vectors * 10.0 ** random.uniform(-300, 300, (20_000, 1)).clip(-250, 250)
+
+
+def test_arctangent_is_within_rounding_of_the_library():
+    vectors = directions()
+    wanted = library(vectors)
+    assert len({(x > 0, y > 0, abs(x) > abs(y)) for x, y in vectors}) == 8
+    error = abs(arctangents(vectors) - wanted)
+    # denormal results have an absolute error
+    assert (error <= 2.0 * np.spacing(abs(wanted))).all()
+    assert (error <= 3e-16 * abs(wanted) + 5e-324).all()
+
+
+def test_arctangent_of_zeros_and_axes_is_exact():
+    numbers = [0.0, -0.0, 5e-324, -5e-324, 1.0, -1.0]
+    vectors = [(x, y) for x in numbers for y in numbers]
+    vectors += [(x, y) for x in (math.inf, -math.inf) for y in numbers]
+    vectors += [(x, y) for y in (math.inf, -math.inf) for x in numbers]
+    found, wanted = arctangents(vectors), library(vectors)
+    np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(np.signbit(found), np.signbit(wanted))
+
+
+def test_arctangent_is_odd():
+    vectors = directions()
+    np.testing.assert_array_equal(arctangents(vectors * [1, -1]), -arctangents(vectors))
+
+
+def test_arctangent_of_no_vector_is_nan():
+    infinite = [(x, y) for x in (math.inf, -math.inf) for y in (math.inf, -math.inf)]
+    assert np.isnan(arctangents([*infinite, (math.nan, 1.0), (1.0, math.nan)])).all()
+
+
+def test_arctangent_interpreted_equals_compiled():
+    plain, vectors = getattr(arctangent, "py_func", arctangent), directions()[::100]
+    assert [plain(y, x) for x, y in vectors] == arctangents(vectors).tolist()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from geometry import triple, world
-from parameters import first_fast, slow
+from parameters import first_fast, nightly, slow
 from test_contact import move_one_curved, move_one_straight
 from union_presses import MODELS, UNIONS, Count, pressed
 
@@ -245,6 +245,10 @@ class TestMotion:
             assert contact
 
 
+PAIRS = [(dim, model) for dim in MODELS for model in MODELS[dim]]
+OF_EVERY_MODEL = [pair if pair == (3, "nonholonomic_3d") else nightly(*pair) for pair in PAIRS]
+
+
 class TestPresses:
     """Robots of every model against random unions, see ``research/union_presses.py``."""
 
@@ -266,7 +270,7 @@ class TestPresses:
         self.count(2, "single_integrator", seed)
 
     @pytest.mark.slow
-    @pytest.mark.parametrize(("dim", "model"), [(d, m) for d in MODELS for m in MODELS[d]])
+    @pytest.mark.parametrize(("dim", "model"), OF_EVERY_MODEL)
     def test_of_every_model(self, dim, model):
         self.count(dim, model, 10)
 

@@ -95,7 +95,7 @@ def test_policy_resumes_bitwise_from_pickle(name):
 
 
 @pytest.mark.kernels
-@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "random"], slow=OTHER_KINDS))
+@pytest.mark.parametrize("name", marked([n for n in NAMES if n != "random"], own_path=OTHER_KINDS))
 def test_batch_equals_single_environments(name):
     together, scenario = made(name)
     simulator = rv.Simulator(scenario, 3)

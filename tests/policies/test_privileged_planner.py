@@ -129,7 +129,7 @@ class TestItPasses:
             passed = clean(rv.rollout(scenario, law, 2000, num_envs=starts))
             assert passed.all() if policy == NAME else passed.mean() <= 0.8
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     @pytest.mark.parametrize("name", ["clutter-3d-32", "slab-3d", "bowl-3d", "uav-clutter-16"])
     def test_planner_solves_99_percent_of_initial_conditions(self, name):
         scenario = rv.scenarios.get(name)

@@ -140,7 +140,7 @@ def test_teams_meet(name, least):
     assert rv.rollout(scenario, policy, seed=0, num_envs=20).success.sum() >= least
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_teams_meet_among_obstacles():
     scenario = rv.scenarios.get("utias-5-clutter")
     policy = baselines.make("search-and-pursue", scenario)

@@ -166,7 +166,7 @@ def test_invalid_argument_is_one_line(words, said, monkeypatch, capsys):
     assert said in err if end.value.code == 2 else said in end.value.code
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_interrupted_search_resumes(tmp_path):
     """The interrupted run has no row either."""
     words = "research/training_search.py --tried small-batch --seeds 0 1".split()
@@ -182,7 +182,7 @@ def test_interrupted_search_resumes(tmp_path):
     assert not (tmp_path / "runs" / "small-batch-1").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_device_bench_writes_rates(tmp_path):
     pytest.importorskip("jax")
     out = tmp_path / "device.json"

@@ -26,7 +26,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.envs.gymnasium_env import make_env
 
-MANY = pytest.param(8, id="many", marks=pytest.mark.slow)
+MANY = pytest.param(8, id="many", marks=pytest.mark.nightly)
 LONGEST = 5.0
 """Maximum processor time of one call's thread, s."""
 OURS = tuple(str(Path(module.__file__).parent) for module in (rv, baselines))
@@ -81,10 +81,10 @@ def fuzzed(
         count: cases for an effort of one.
         values: strategies of the arguments of the check.
         kernels: whether the few cases carry the marker ``kernels``.
-        fast: whether a fast test runs few cases.
+        fast: whether the test of few cases is fast.
     """
-    few = pytest.param(1, id="few", marks=[pytest.mark.kernels] * kernels)
-    efforts = [few, MANY] if fast else [MANY]
+    marks = [pytest.mark.kernels] * kernels + [pytest.mark.slow] * (not fast)
+    efforts = [pytest.param(1, id="few", marks=marks), MANY]
 
     def decorate(check: Callable[..., None]) -> Any:
         @pytest.mark.parametrize("effort", efforts)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 import test_verify
-from parameters import first_fast, slow
+from parameters import marked, slow
 
 import rendezvous_env as rv
 from rendezvous_env.sensors.sensing import PER_ROBOT
@@ -44,7 +44,7 @@ def promising(monkeypatch, **limits):
     monkeypatch.setattr(falsification, "ask", wrong)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_random_scenarios_cover_all_kinds():
     drawn = [trials_of(0, number, number)[0].scenario for number in range(600)]
     assert {scenario.sensing_graph.kind for scenario in drawn} == {
@@ -68,7 +68,7 @@ def test_random_scenarios_cover_all_kinds():
     assert 300 < len(given) < 600
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_random_scenarios_cover_clocks_and_events(monkeypatch):
     for share in ("_CLOCKED", "_EVENTFUL"):
         monkeypatch.setattr(random_scenarios, share, 0.9)
@@ -79,7 +79,7 @@ def test_random_scenarios_cover_clocks_and_events(monkeypatch):
     assert set().union(*(one.events.kinds for one in drawn)) == kinds
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_random_scenarios_cover_mixed_teams_sensors_of_robots_and_areas(monkeypatch):
     before = [trials_of(0, number, number)[0].scenario for number in range(150)]
     monkeypatch.setattr(random_scenarios, "_VARIED", 0.0)
@@ -138,7 +138,7 @@ def test_equal_seed_gives_equal_scenario():
     assert trials_of(3, 17)[0].scenario != trials_of(4, 17)[0].scenario
 
 
-@pytest.mark.parametrize("by", first_fast(CHOICES, 2))
+@pytest.mark.parametrize("by", marked(CHOICES, own_path=[*CHOICES][2:]))
 def test_valid_certificate_is_checked_to_its_bound(by):
     played = play(trial(PAIR, by))
     timed = {name for name, what in played.counts if what == "time"}
@@ -303,7 +303,7 @@ def test_violations_are_written_with_status_1(tmp_path, monkeypatch, one_kind):
     assert str(files[0]) in printed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_thousand_random_scenarios_hold(tmp_path):
     """More of them, of all kinds: ``rendezvous verify --random-scenarios``."""
     status, rows, printed = command(tmp_path, trials=1_000, kinds=8, jobs=None)
@@ -312,7 +312,7 @@ def test_a_thousand_random_scenarios_hold(tmp_path):
     assert sum(granted.values()) > 700 and len(granted) > 30
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_scenarios_of_larger_teams_hold(tmp_path, monkeypatch):
     """Many neighbours may surround a robot with ever smaller margins."""
     monkeypatch.setattr(random_scenarios, "_SIZES", (8, 12, 16))

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rendezvous_env.baselines.laws.paper_laws import LAW_OF_MODEL
 
 import rendezvous_env as rv
 from rendezvous_env import baselines, vector
@@ -46,7 +47,7 @@ PATIENT_STEPS = 1000
 FEW_STEPS = 8, 80
 """Minimum and maximum number of steps of trials whose time bound cannot be reached."""
 _PARENTS = 3  # initial conditions from which the next generation is made
-_LAWS = {"unicycle": "unicycle", "mixed": "by-model", "nonholonomic_3d": "nonholonomic-3d"}
+_LAWS = {**LAW_OF_MODEL, "mixed": "by-model"}
 _HOW = ("by", "arguments", "frame", "period", "seed", "policy", "numbers")
 """Fields of a trial that are written in addition to its scenario."""
 

@@ -102,6 +102,12 @@ def test_seeds_apply_and_bad_arguments_are_rejected():
 
 
 @pytest.mark.slow
+def test_example_runs():
+    told = run("09_pufferlib_ppo.py", "--updates", "2", "--num-envs", "64", "--held-out", "50")
+    assert len(JUDGED.findall(told)) == 2
+
+
+@pytest.mark.nightly
 def test_example_learns():
     """Evaluated on held-out initial conditions."""
     told = run("09_pufferlib_ppo.py", "--updates", "15", "--num-envs", "64", "--held-out", "100")

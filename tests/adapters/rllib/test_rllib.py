@@ -189,6 +189,12 @@ def test_remote_env_runner_samples(local_ray):
 
 
 @pytest.mark.slow
+def test_example_runs():
+    told = run("08_rllib_ppo.py", "--updates", "2", "--held-out", "50")
+    assert len(JUDGED.findall(told)) == 2
+
+
+@pytest.mark.nightly
 def test_example_learns():
     """Evaluated on held-out initial conditions."""
     told = run("08_rllib_ppo.py", "--updates", "28", "--held-out", "100")
