@@ -2,9 +2,9 @@
 
     python examples/15_jax_ppo.py
 
-It needs `pip install '.[jax]'`, on a CPU, GPU or TPU. All robots share one network
-that scores angles of the raw heading from f, under certified headings (theorem C), at first small
-ones. The cost of contact rises. Advantages of merged robots continue with their survivor's.
+It needs `pip install '.[jax]'`, on a CPU, GPU or TPU. All robots share one network that scores
+angles of the raw heading from f, under certified headings (theorem C). Angles into near obstacles
+are closed. Robots remember their waiting. Advantages of merged robots continue with the survivor's.
 """
 
 import argparse
@@ -24,17 +24,20 @@ for name, usual in sizes.items():  # steps are decisions in an update, reports c
     parser.add_argument(f"--{name}", type=int, default=usual)
 given = parser.parse_args()
 GAMMA, LAMBDA, CLIP, MINIBATCHES, ENTROPY, RATE = 0.996, 0.95, 0.2, 8, 2e-3, 1e-3
-HOLD, PLAYED, REST = 4, 1, 10  # steps of a decision, and of a held-out one; decisions
-CONTACT, WIDTH, HELD_OUT = 1.0, 32, 1_000_000  # cost, at most once in REST; units; seed
+HOLD, PLAYED, REST, WAIT = 4, 1, 40, 100  # steps: of a decision, of a held-out one, of memories
+CONTACT, NEAR, CLOSED, WIDTH, HELD_OUT = 0.5, 0.6, -1e6, 32, 1_000_000  # cost; rad; logit; units
 ANGLES = 0.1 * jnp.array(sorted(range(-15, 16), key=abs))  # rad from f
+WIDE = jnp.abs(ANGLES) > 1.25  # a robot there nearly waits
+STOPS = jnp.where(jnp.abs(ANGLES) < 1.45, 0.0, 1.1)  # rad; as an obstacle of this half-width
 HEADINGS = jnp.stack([jnp.cos(ANGLES), jnp.sin(ANGLES)], axis=-1)
 
 
 def make(num_envs, mode, guarantee="heading"):
-    """Environments, with the heading filter or bare; contact is penalised below."""
+    """Environments, with the heading filter or bare; ``collect`` adds the cost of contact."""
     fields = {"min_alignment": 0.05, "max_turn_rate": 100.0} if guarantee else {}
-    fields |= {"num_envs": num_envs, "autoreset_mode": mode, "final_obs": mode == "SAME_STEP"}
-    return rj.make(given.scenario, guarantee, reward={"collision_penalty": 0.0}, **fields)
+    reward = {"collision_penalty": 0.0, "time_penalty": 0.5}
+    fields |= {"num_envs": num_envs, "autoreset_mode": mode, "reward": reward}
+    return rj.make(given.scenario, guarantee, **fields)
 
 
 env = make(given.envs, "SAME_STEP")
@@ -45,8 +48,8 @@ RULE = "tangent-merged-tuned" if layout.obstacle_slots else "bearing-only"
 def new_network(key):
     """Layers by name: of neighbours, obstacles, all features, and of each choice; the critic's."""
     widths = {"neighbours": (2, WIDTH, WIDTH), "obstacles": (4, WIDTH, WIDTH)}
-    widths |= {"trunk": (4 * WIDTH + 4 + len(ANGLES), 128, 128), "glance": (128, 16)}
-    network, widths = {}, widths | {"actor": (20, 32, 1), "critic": (257, 64, 1)}
+    widths |= {"trunk": (4 * WIDTH + 5 + len(ANGLES), 128, 128), "glance": (128, 16)}
+    network, widths = {}, widths | {"actor": (21, 32, 1), "critic": (257, 64, 1)}
     for name, each in widths.items():
         for inputs, outputs in itertools.pairwise(each):
             key, own = jax.random.split(key)
@@ -59,8 +62,7 @@ def new_network(key):
 def through(layers, x, activation=jnp.tanh):
     """Output of layers for x; linear if it is one number."""
     for weight, bias in layers:
-        x = x @ weight + bias
-        x = activation(x) if len(bias) > 1 else x
+        x = activation(x @ weight + bias) if len(bias) > 1 else x @ weight + bias
     return x
 
 
@@ -72,71 +74,75 @@ def pooled(layers, rows):
 
 
 def clearances(edges):
-    """Angles from each heading to the nearest silhouette, (..., choices), rad; negative within."""
+    """Angles from headings to silhouettes, (..., choices), rad; those into near ones are closed."""
     turns = jnp.arctan2(edges[..., 1::2], edges[..., ::2])[..., None, :, :]
     right, half = turns[..., 1], (turns[..., 0] - turns[..., 1]) % (2 * jnp.pi) / 2
     apart = (ANGLES[:, None] - right - half + jnp.pi) % (2 * jnp.pi) - jnp.pi
     free = jnp.where(jnp.any(edges != 0.0, axis=-1)[..., None, :], jnp.abs(apart) - half, 1.0)
-    return jnp.clip(free.min(axis=-1), -0.5, 1.0)
+    widest = jnp.maximum(jnp.where(free < 0.0, half, 0.0).max(axis=-1), STOPS)
+    closed = widest > jnp.maximum(widest.min(axis=-1, keepdims=True), NEAR)  # farthest if all
+    return jnp.clip(free.min(axis=-1), -0.5, 1.0), closed
 
 
-def evaluate(network, seen, last, rest):
-    """Logits (..., n, choices) and values (..., n), of observations, last choices and ``rest``."""
+def remember(memory, choices, hit, steps):
+    """Last choices, shares of steps at wide angles, and steps to the next cost of contact."""
+    _, waited, rest = memory
+    waited = waited + steps / WAIT * (WIDE[choices] - waited)
+    return choices, waited, jnp.where(hit, REST, jnp.maximum(rest - steps, 0))
+
+
+forgotten = lambda envs: tuple(jnp.zeros((envs, n), kind) for kind in (int, float, int))  # noqa: E731
+
+
+def evaluate(network, seen, memory):
+    """Logits (..., n, choices) and values (..., n), of observations and ``remember``."""
+    last, waited, rest = memory
     neighbours = seen[..., layout.neighbours, :]
     edges = seen[..., layout.obstacles, :].reshape(*seen.shape[:-2], layout.obstacle_slots, 4)
     edges = edges if layout.obstacle_slots else jnp.zeros((*seen.shape[:-2], 1, 4))
     sets = pooled(network["neighbours"], neighbours) + pooled(network["obstacles"], edges)
-    free, turns = clearances(edges), jnp.abs(ANGLES - ANGLES[last][..., None])
-    x = [*sets, neighbours.sum(axis=-2), HEADINGS[last], 4.0 * free]
+    (free, closed), turns = clearances(edges), jnp.abs(ANGLES - ANGLES[last][..., None])
+    x = [*sets, neighbours.sum(axis=-2), HEADINGS[last], 2.0 * waited[..., None], 4.0 * free]
     x = through(network["trunk"], jnp.concatenate(x, axis=-1))
     views = [jnp.repeat(through(network["glance"], x)[..., None, :], len(ANGLES), axis=-2)]
-    for view in (4.0 * free, ANGLES, jnp.abs(ANGLES), turns):
+    for view in (4.0 * free, ANGLES, jnp.abs(ANGLES), turns, 4.0 * waited[..., None] * WIDE):
         views.append(jnp.broadcast_to(view, free.shape)[..., None])
     scores = through(network["actor"], jnp.concatenate(views, axis=-1), jax.nn.relu)
     sees = jnp.any(neighbours != 0.0, axis=(-2, -1))[..., None]
     team = (sees * x).sum(axis=-2) / jnp.maximum(sees.sum(axis=-2), 1)
     known = [x, jnp.broadcast_to(team[..., None, :], x.shape), rest[..., None] / REST]
     value = through(network["critic"], jnp.concatenate(known, axis=-1))
-    return scores[..., 0] - 1.5 * jnp.abs(ANGLES), value[..., 0]
+    return jnp.where(closed, CLOSED, scores[..., 0] - 1.5 * jnp.abs(ANGLES)), value[..., 0]
 
 
 def hold(env, state, seen, choices, steps):
     """Steps with the same choices; rewards, contacts and merges up to the episode's end."""
 
     def step(now, _):
-        state, _, told = now
+        state, _, reward, touched, into, ended = now
         seen, state, _, met, late, info = env.step(None, state, HEADINGS[choices])
-        runs, end = ~told["ended"], (met | late) & ~told["ended"]
-        told = {
-            "final": jnp.where(end[:, *[None] * 3], info.get("final_obs", seen), told["final"]),
-            "into": jnp.where((runs & ~end)[:, None], info["merged_into"], told["into"]),
-            "reward": told["reward"] + runs[:, None] * info["robot_rewards"],
-            "touched": told["touched"] | runs[:, None] & info.get("contact", False),
-            "ended": told["ended"] | end,
-            "late": told["late"] | end & late,
-        }
-        return (state, seen, told), None
+        runs, ended = ~ended[:, None], ended | met | late
+        touched |= runs & info.get("contact", False)
+        into = jnp.where(ended[:, None], into, info["merged_into"])
+        return (state, seen, reward + runs * info["robot_rewards"], touched, into, ended), None
 
-    none = jnp.zeros(choices.shape, bool)
-    told = {"final": seen, "touched": none, "ended": none[:, 0], "late": none[:, 0]}
-    told |= {"into": jnp.broadcast_to(jnp.arange(n), none.shape), "reward": jnp.zeros(none.shape)}
-    return jax.lax.scan(step, (state, seen, told), None, steps)[0]
+    zero, robots = jnp.zeros(choices.shape), jnp.broadcast_to(jnp.arange(n), choices.shape)
+    return jax.lax.scan(step, (state, seen, zero, zero > 0, robots, zero[:, 0] > 0), None, steps)[0]
 
 
 def collect(network, contact, now, key):
     """One decision of all robots, and the sample of it."""
-    state, seen, last, rest = now
-    logits, value = evaluate(network, seen, last, rest)
+    state, seen, memory = now
+    logits, value = evaluate(network, seen, memory)
     choices = jax.random.categorical(key, logits)
     acted = state.merged_into.T == jnp.arange(n)
-    sample = {"seen": seen, "last": last, "rest": rest, "choices": choices, "acted": acted}
+    sample = {"seen": seen, "memory": memory, "choices": choices, "acted": acted}
     sample |= {"value": value, "log_prob": of(jax.nn.log_softmax(logits), choices)}
-    state, seen, told = hold(env, state, seen, choices, HOLD)
-    cut = told["late"][:, None] * evaluate(network, told["final"], choices, rest)[1]
-    hit, goes_on = told["touched"] & (rest == 0), ~told["ended"][:, None]
-    sample |= told | {"reward": told["reward"] - contact * hit + GAMMA * cut}
-    rest = jnp.where(hit, REST, jnp.maximum(rest - 1, 0))
-    return (state, seen, choices * goes_on, rest * goes_on), sample
+    state, seen, reward, touched, into, ended = hold(env, state, seen, choices, HOLD)
+    hit = touched & (memory[2] == 0)
+    sample |= {"reward": reward - contact * hit, "into": into, "ended": ended[:, None]}
+    memory = remember(memory, choices, hit, HOLD)
+    return (state, seen, jax.tree.map(lambda part: part * ~sample["ended"], memory)), sample
 
 
 of = lambda values, index: jnp.take_along_axis(values, index[..., None], axis=-1)[..., 0]  # noqa: E731
@@ -147,8 +153,8 @@ def advantages(samples, value):
 
     def back(now, sample):
         value, later = (jnp.take_along_axis(part, sample["into"], axis=1) for part in now)
-        goes_on = ~sample["ended"][:, None]
-        later = sample["reward"] + GAMMA * goes_on * (value + LAMBDA * later) - sample["value"]
+        later = GAMMA * ~sample["ended"] * (value + LAMBDA * later)
+        later += sample["reward"] - sample["value"]
         return (sample["value"], later), later
 
     return jax.lax.scan(back, (value, jnp.zeros_like(value)), samples, reverse=True)[1]
@@ -156,7 +162,7 @@ def advantages(samples, value):
 
 def loss_of(network, batch, bonus):
     """Loss of PPO with clipping, over the robots that acted."""
-    logits, value = evaluate(network, batch["seen"], batch["last"], batch["rest"])
+    logits, value = evaluate(network, batch["seen"], batch["memory"])
     log_probs, weight = jax.nn.log_softmax(logits), batch["acted"] / batch["acted"].mean()
     ratio, gain = jnp.exp(of(log_probs, batch["choices"]) - batch["log_prob"]), batch["gain"]
     gain = gain - (weight * gain).mean()
@@ -190,58 +196,56 @@ def update(now, index):
     flat = jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:]), samples)
 
     def improve(now, rows):
-        slope = jax.grad(loss_of)(now[0], {k: v[rows] for k, v in flat.items()}, ENTROPY * left)
+        batch = jax.tree.map(lambda part: part[rows], flat)
+        slope = jax.grad(loss_of)(now[0], batch, ENTROPY * left)
         return adam(now[0], slope, *now[1], RATE * left), None
 
-    rows = jax.random.permutation(order, gain.size // n)
-    rows = rows[: len(rows) // MINIBATCHES * MINIBATCHES].reshape(MINIBATCHES, -1)
-    (network, moments), _ = jax.lax.scan(improve, (network, moments), rows)
+    rows = jax.random.permutation(order, gain.size // n // MINIBATCHES * MINIBATCHES)
+    (network, moments), _ = jax.lax.scan(improve, (network, moments), rows.reshape(MINIBATCHES, -1))
     return (network, moments, acting, key), (samples["reward"].mean(), samples["acted"].sum())
 
 
-def judge(env, memory, act):
+def judge(act, memory, guarantee="heading"):
     """Share of held-out environments that meet, and meet without contact, and their mean time."""
-    seen, state = env.reset(HELD_OUT)
-    begun = state, seen, memory, jnp.zeros((given.held_out, n), bool)
+    env = make(given.held_out, "DISABLED", guarantee)
+    begun = *env.reset(HELD_OUT)[::-1], memory, jnp.zeros((given.held_out, n), bool)
     runs = lambda now: (now[0].status == 0).any()  # noqa: E731
-    state, *_, touched = jax.lax.while_loop(runs, lambda now: act(*now), begun)
+    state, *_, touched = jax.lax.while_loop(runs, lambda now: act(env, *now), begun)
     met, times = state.status == 1, state.steps * env.scenario.tau
     return met.mean(), (met & ~touched.any(axis=-1)).mean(), (met * times).sum() / met.sum()
 
 
 @jax.jit
 def judge_network(network):
-    """Greedy choices, but for the two widest angles, at which a robot nearly stops."""
-    env = make(given.held_out, "DISABLED")
+    """Greedy choices, made anew in each step."""
 
-    def act(state, seen, last, touched):
-        choices = evaluate(network, seen, last, 0 * last)[0][..., :-2].argmax(axis=-1)
-        state, seen, told = hold(env, state, seen, choices, PLAYED)
-        return state, seen, choices, touched | told["touched"]
+    def act(env, state, seen, memory, touched):
+        choices = evaluate(network, seen, memory)[0].argmax(axis=-1)
+        state, seen, _, hit, *_ = hold(env, state, seen, choices, PLAYED)
+        return state, seen, remember(memory, choices, hit, PLAYED), touched | hit
 
-    return judge(env, jnp.zeros((given.held_out, n), int), act)
+    return judge(act, forgotten(given.held_out))
 
 
 @jax.jit
 def judge_rule():
     """The tuned rule, or law (1) without obstacles, as a JAX function."""
-    env = make(given.held_out, "DISABLED", guarantee=None)
     rule = policies.make(RULE, env.scenario)
 
-    def act(state, seen, memory, touched):
+    def act(env, state, seen, memory, touched):
         actions, memory = rule.act(seen, memory)
         seen, state, *_, info = env.step(None, state, actions)
         return state, seen, memory, touched | info.get("contact", False)
 
-    return judge(env, rule.begin((given.held_out,)), act)
+    return judge(act, rule.begin((given.held_out,)), guarantee=None)
 
 
 TEXT = "{}: {:.1%} met, {:.1%} without contact, {:.1f} s"
 print(TEXT.format(RULE, *judge_rule()), flush=True)
 key, first = jax.random.split(jax.random.key(given.seed))
 network, (seen, state) = new_network(first), env.reset(given.seed)
-zeros, none = jax.tree.map(jnp.zeros_like, network), jnp.zeros((given.envs, n), int)
-now = network, (1, zeros, zeros), (state, seen, none, none), key
+zeros = jax.tree.map(jnp.zeros_like, network)
+now = network, (1, zeros, zeros), (state, seen, forgotten(given.envs)), key
 print(TEXT.format("before", *judge_network(network)), flush=True)
 many = jax.jit(lambda now, indices: jax.lax.scan(update, now, indices))
 for done in range(0, given.updates, given.report):
