@@ -295,16 +295,15 @@ def _compiling(function: _Kernel, entry: bool) -> Iterator[None]:
 
     The collector would traverse a million objects in use repeatedly.
     """
-    collects, before = gc.isenabled(), (_CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry)
-    unrolls = KernelLibrary.unrolls
+    collects = gc.isenabled()
+    before = _CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry, KernelLibrary.unrolls
     gc.disable()
     _CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry = function.slp, entry
     KernelLibrary.unrolls = function.unroll
     try:
         yield
     finally:
-        _CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry = before
-        KernelLibrary.unrolls = unrolls
+        _CONFIG.SLP_VECTORIZE, _KernelCompiler.with_entry, KernelLibrary.unrolls = before
         if collects:  # not within the compilation of another kernel
             gc.enable()
 

@@ -103,7 +103,10 @@ def aim(axes, robots, rule, arrays, work):
 
 @inner_kernel
 def _list_obstacles(bits, neighbour_slots, work):
-    """List the visible obstacles of robots (N, rows, 1), without a branch; returns their number."""
+    """List the visible obstacles of robots (N, rows, 1), without a branch; returns their number.
+
+    As ``list_seen``, in one loop over all rows; a call of it per robot is slower.
+    """
     stride, pairs, count = bits.shape[1], bits.reshape(-1), 0
     for lane in range(len(bits)):
         for row in range(lane * stride + neighbour_slots, (lane + 1) * stride - 1, 2):

@@ -98,10 +98,7 @@ SHAPES = [("capsule", 2), ("polygon", 2), ("sphere", 3), ("capsule", 3)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "dim"),
-    [("disc", 2), *SHAPES],
-)
+@pytest.mark.parametrize(("kind", "dim"), [("disc", 2), *SHAPES])
 def test_shapes_equal_the_kernels(kind, dim, rj):
     world, shapes, arrays = _shapes(kind, dim)
     rng = np.random.default_rng(2)

@@ -23,10 +23,7 @@ def together(state):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "model",
-    marked(MODELS, slow=MODELS.keys() - {"single integrators"}),
-)
+@pytest.mark.parametrize("model", marked(MODELS, slow=MODELS.keys() - {"single integrators"}))
 def test_gradients_are_finite_at_singular_states(model, rj):
     """Coincident robots, f = 0 between two others, actions of zero, and robots at rest."""
     import jax
